@@ -71,14 +71,14 @@ class Expressions:
         """The same of what is stored to or widened, which may be of single precision."""
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
-            self.source.refuse(node, f"a {type(node).__name__} is not known")
+            self.source.refuse(node, f"{type(node).__name__} is not supported")
         return method(node)
 
     def number(self, node: ast.expr) -> Expr:
         """The same of what must be a number."""
         found = self.lower(node)
         if not isinstance(found.type, Scalar):
-            self.source.refuse(node, "a number is asked for")
+            self.source.refuse(node, "a number is expected")
         return found
 
     def cast(self, node: ast.AST, value: Expr, kind: Type) -> Expr:
@@ -92,7 +92,7 @@ class Expressions:
         if isinstance(kind, Several) and isinstance(value.type, Several) and value.op == "several":
             items = zip(value.args, kind.items, strict=True)
             return Expr("several", kind, tuple(self.cast(node, item, wanted) for item, wanted in items))
-        return self.source.refuse(node, f"{value.type} where {kind} is asked for")
+        return self.source.refuse(node, f"{value.type}, but {kind} is expected")
 
     def as_test(self, node: ast.expr) -> Expr:
         """What an `if` asks."""
@@ -103,7 +103,7 @@ class Expressions:
 
     def _constant(self, node: ast.Constant) -> Expr:
         if not isinstance(node.value, bool | int | float):
-            self.source.refuse(node, "no number")
+            self.source.refuse(node, "not a number")
         return constant(node.value)
 
     def _name(self, node: ast.Name) -> Expr:
@@ -140,11 +140,11 @@ class Expressions:
         if isinstance(base.type, Several):
             return self._item(node, base)
         if not isinstance(base.type, Array):
-            self.source.refuse(node, "nothing that has an index")
+            self.source.refuse(node, "this cannot be indexed")
         places = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         for place in places:
             if not isinstance(base.type, Array):
-                self.source.refuse(node, "more indices than axes")
+                self.source.refuse(node, "more indices than the array has axes")
             base = Expr("index", base.type.item, (base, self._place(place, base.type.shape[0])))
         return base
 
@@ -153,11 +153,11 @@ class Expressions:
         or what is to be wrapped (`at`)."""
         place = self.number(node)
         if place.type is not INT:
-            self.source.refuse(node, "an index that is no whole number")
+            self.source.refuse(node, "an index that is not an integer")
         if place.is_constant:
             found = place.value + count if place.value < 0 else place.value
             if not 0 <= found < count:
-                self.source.refuse(node, f"beyond an axis of {count}")
+                self.source.refuse(node, f"an index beyond an axis of length {count}")
             return constant(found)
         first, last = self.counters.get(place.value, (-1, -1)) if place.op == "var" else (-1, -1)
         if first >= 0 and last < count:
@@ -170,7 +170,7 @@ class Expressions:
         if place.is_constant:
             return Expr("item", base.type.items[place.value], (base,), place.value)
         if base.op != "var" or set(base.type.items) != {REAL} or base.type.names:
-            self.source.refuse(node, "an index into values of several types")
+            self.source.refuse(node, "an index into values of different types")
         return Expr("item", REAL, (base, self._place(node.slice, len(base.type.items))))
 
     def _tuple(self, node: ast.Tuple) -> Expr:
@@ -187,7 +187,7 @@ class Expressions:
             return Expr("neg", value.type, (value,))
         if isinstance(node.op, ast.Invert) and value.type is INT:
             return constant(~value.value) if value.is_constant else Expr("invert", INT, (value,))
-        return self.source.refuse(node, "this sign of this type is not known")
+        return self.source.refuse(node, "this operator is not supported for this type")
 
     def _binop(self, node: ast.BinOp) -> Expr:
         return self.operate(node, type(node.op), self.number(node.left), self.number(node.right))
@@ -198,26 +198,26 @@ class Expressions:
             return self._power(node, left, right)
         if sign is ast.Div:
             if UINT in (left.type, right.type):
-                self.source.refuse(node, "a division of unsigned numbers")
+                self.source.refuse(node, "division of unsigned numbers is not supported")
             return Expr("div", REAL, (self.cast(node, left, REAL), self.cast(node, right, REAL)))
         if sign in _BITS:
             if left.type is BOOL and right.type is BOOL:
                 return Expr(_BITS[sign], BOOL, (left, right))
             if REAL in (left.type, right.type):
-                self.source.refuse(node, "bits of a real")
+                self.source.refuse(node, "a bit operation on a real number")
             return self._whole(node, _BITS[sign], left, right)
         if sign not in _ARITHMETIC:
-            self.source.refuse(node, f"{sign.__name__} is not known")
+            self.source.refuse(node, f"{sign.__name__} is not supported")
         if REAL in (left.type, right.type):
             if sign in (ast.FloorDiv, ast.Mod):
-                self.source.refuse(node, "a rest of reals is not known")
+                self.source.refuse(node, "the remainder of real numbers is not supported")
             return Expr(_ARITHMETIC[sign], REAL, (self.cast(node, left, REAL), self.cast(node, right, REAL)))
         return self._whole(node, _ARITHMETIC[sign], left, right)
 
     def _whole(self, node: ast.AST, name: str, left: Expr, right: Expr) -> Expr:
         if UINT in (left.type, right.type):
             if left.type is not right.type or name in ("floordiv", "mod"):
-                self.source.refuse(node, "signed with unsigned, of which Numba makes a real")
+                self.source.refuse(node, "signed with unsigned numbers, which Numba converts to a real number")
             return Expr(name, UINT, (left, right))
         left, right = self.cast(node, left, INT), self.cast(node, right, INT)
         if left.is_constant and right.is_constant and not (name in ("floordiv", "mod") and right.value == 0):
@@ -234,7 +234,7 @@ class Expressions:
         if left.type is REAL and right.type is INT and right.is_constant:
             return Expr("power", REAL, (left,), right.value)
         if REAL not in (left.type, right.type) or UINT in (left.type, right.type) or INT in (right.type,):
-            self.source.refuse(node, "a power of these types is not known")
+            self.source.refuse(node, "a power of these types is not supported")
         return Expr("math", REAL, (self.cast(node, left, REAL), self.cast(node, right, REAL)), "pow")
 
     def _compare(self, node: ast.Compare) -> Expr:
@@ -242,7 +242,7 @@ class Expressions:
         tests = []
         for n, sign in enumerate(node.ops):
             if type(sign) not in _COMPARISONS:
-                self.source.refuse(node, f"{type(sign).__name__} is not known")
+                self.source.refuse(node, f"{type(sign).__name__} is not supported")
             tests.append(self._comparison(node, _COMPARISONS[type(sign)], operands[n], operands[n + 1]))
         if len(tests) > 1 and any(_calls(operand) for operand in operands[1:-1]):
             self.source.refuse(node, "a call between two comparisons")
@@ -253,7 +253,7 @@ class Expressions:
             left, right = self.cast(node, left, REAL), self.cast(node, right, REAL)
         elif UINT in (left.type, right.type):
             if left.type is not right.type:
-                self.source.refuse(node, "signed and unsigned compared")
+                self.source.refuse(node, "a comparison of signed and unsigned numbers")
         else:
             left, right = self.cast(node, left, INT), self.cast(node, right, INT)
         if left.is_constant and right.is_constant:
@@ -263,7 +263,7 @@ class Expressions:
     def _boolop(self, node: ast.BoolOp) -> Expr:
         tests = tuple(self.number(value) for value in node.values)
         if any(test.type is not BOOL for test in tests):
-            self.source.refuse(node, "`and` or `or` of what is no truth value")
+            self.source.refuse(node, "`and` or `or` of a value that is not Boolean")
         decides = isinstance(node.op, ast.Or)  # a test that comes out so
         if any(test.is_constant and test.value == decides for test in tests) and not any(map(_calls, tests)):
             return constant(decides)
@@ -282,7 +282,7 @@ class Expressions:
         if kinds == {INT, REAL}:
             kinds, chosen = {REAL}, [self.cast(node, one, REAL) for one in chosen]
         if len(kinds) > 1 or isinstance(chosen[0].type, Several | Nothing):
-            self.source.refuse(node, "a choice between types")
+            self.source.refuse(node, "a choice between values of different types")
         if test.is_constant:
             return chosen[0] if test.value else chosen[1]
         return Expr("cond", chosen[0].type, (test, *chosen))
@@ -290,7 +290,7 @@ class Expressions:
     def _call(self, node: ast.Call) -> Expr:
         called = self.lower(node.func)
         if called.op != "static":
-            self.source.refuse(node, "a call of no function")
+            self.source.refuse(node, "a call of something that is not a function")
         function = called.value
         if isinstance(function, CPUDispatcher):
             return self._kernel(node, function)
@@ -306,9 +306,9 @@ class Expressions:
             self.source.refuse(node, "named arguments of a kernel")
         arguments = tuple(self.lower(one) for one in node.args)
         if any(not isinstance(one.type, Scalar | Several | Reference) for one in arguments):
-            self.source.refuse(node, "an argument that is no value")
+            self.source.refuse(node, "an argument that is not a value")
         if any(one.op == "several" for one in arguments):
-            self.source.refuse(node, "values side by side made inside a call: give them a name first")
+            self.source.refuse(node, "a tuple made inside a call: assign it to a name first")
         made = self.program.function(function, tuple(one.type for one in arguments))
         return Expr("call", made.returns, arguments, made)
 
@@ -317,7 +317,7 @@ class Expressions:
         given = dict(zip(kind._fields, node.args, strict=False))
         given |= {keyword.arg: keyword.value for keyword in node.keywords if keyword.arg}
         if set(given) != set(kind._fields):
-            self.source.refuse(node, "not every field, or one that is none")
+            self.source.refuse(node, "not every field is given, or an unknown one")
         items = tuple(self.lower(given[name]) for name in kind._fields)
         return Expr("several", Several(tuple(i.type for i in items), kind._fields, kind.__name__), items)
 
@@ -328,7 +328,7 @@ class Expressions:
         if function is len and len(arguments) == 1 and isinstance(arguments[0].value, tuple):
             return constant(len(arguments[0].value))
         if any(not isinstance(kind, Scalar) for kind in kinds):
-            self.source.refuse(node, f"{name} of no number")
+            self.source.refuse(node, f"{name} of something that is not a number")
         if function in (max, min) and len(arguments) > 1:
             return self._extreme(node, name, arguments)
         if function in (int, np.int64, float, np.float64, bool) and len(arguments) == 1:
@@ -344,7 +344,7 @@ class Expressions:
             return Expr("math", BOOL, tuple(arguments), name)
         if function in (math.ceil, math.floor) and kinds == [REAL]:
             return Expr("math", INT, tuple(arguments), _ROUNDINGS[name])
-        return self.source.refuse(node, f"{name} of {len(arguments)} such arguments is not known")
+        return self.source.refuse(node, f"{name} of {len(arguments)} such arguments is not supported")
 
     def _extreme(self, node: ast.Call, name: str, arguments: list[Expr]) -> Expr:
         found = arguments[0]

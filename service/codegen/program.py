@@ -79,9 +79,9 @@ class Program:
         for kind in arguments:
             if isinstance(kind, Several):
                 if not kind.title or self.bundles.setdefault(kind.title, kind) != kind:
-                    source.refuse(source.tree, f"values side by side as an argument: {kind}")
+                    source.refuse(source.tree, f"a tuple as an argument: {kind}")
             elif not isinstance(kind, Reference) and kind == Nothing():
-                source.refuse(source.tree, "an argument that is nothing")
+                source.refuse(source.tree, "an argument without a value")
         parameters = list(zip(source.parameters, arguments, strict=True))
         made = Function("", source.where, _about(source.tree), parameters, Nothing())
         Body(Expressions(self, source, dict(parameters)), made).lower()

@@ -64,7 +64,7 @@ class Source:
         builtins = names["__builtins__"]
         found = builtins if isinstance(builtins, dict) else vars(builtins)
         if node.id not in found:
-            self.refuse(node, "a name that stands for nothing")
+            self.refuse(node, "an undefined name")
         return found[node.id]
 
 
@@ -82,16 +82,16 @@ def source_of(kernel: CPUDispatcher) -> Source:
     try:
         text = made or textwrap.dedent(inspect.getsource(function))
     except OSError:
-        raise CodegenError(f"{path}:{first}: {function.__name__}: its text is not there") from None
+        raise CodegenError(f"{path}:{first}: {function.__name__}: its source text is not available") from None
     tree = ast.parse(text).body[0]
     if not isinstance(tree, ast.FunctionDef):
-        raise CodegenError(f"{path}:{first}: {function.__name__}: no function stands there")
+        raise CodegenError(f"{path}:{first}: {function.__name__}: there is no function at this line")
     arguments = tree.args
     if not _is_of(made or "".join(linecache.getlines(path)), function):
-        raise CodegenError(f"{path}:{first}: {function.__name__}: the file is another than when this process read it")
+        raise CodegenError(f"{path}:{first}: {function.__name__}: the file has changed since this process read it")
     source = Source(function, tree, path, first)
     if arguments.defaults or arguments.kwonlyargs or arguments.vararg or arguments.kwarg or arguments.posonlyargs:
-        source.refuse(tree, "parameters with defaults or of any number")
+        source.refuse(tree, "parameters with defaults or of variable number")
     return source
 
 

@@ -37,9 +37,9 @@ class Body:
             if (dict(self.variables), self.function.returns) == before:
                 break
         else:
-            self.source.refuse(self.source.tree, "types that do not settle")
+            self.source.refuse(self.source.tree, "the types of its variables cannot be determined")
         if self.function.returns != Nothing() and not _ends(self.function.body):
-            self.source.refuse(self.source.tree, "a way through it without a value")
+            self.source.refuse(self.source.tree, "a path that returns no value")
         own = {name: kind for name, kind in self.variables.items() if name not in self._parameters}
         self.function.variables = own
 
@@ -49,7 +49,7 @@ class Body:
     def _statement(self, node: ast.stmt) -> list[Any]:
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
-            self.source.refuse(node, f"a {type(node).__name__} is not known")
+            self.source.refuse(node, f"{type(node).__name__} is not supported")
         return method(node)
 
     def _expr(self, node: ast.Expr) -> list[Any]:
@@ -75,7 +75,7 @@ class Body:
             return [Return(None)]
         value = self.expressions.lower(node.value)
         if isinstance(value.type, Reference) or value.op == "static":
-            self.source.refuse(node, "a view is returned")
+            self.source.refuse(node, "it returns a view of an array")
         self._returns(node, value.type)
         if value.type == Nothing():
             return [Do(value), Return(None)]
@@ -85,7 +85,7 @@ class Body:
         before = self.function.returns
         found = kind if before == Nothing() else unified(before, kind)
         if found is None:
-            self.source.refuse(node, f"returns {kind}, elsewhere {before}")
+            self.source.refuse(node, f"returns {kind} here, {before} elsewhere")
         self.function.returns = found
 
     def _if(self, node: ast.If) -> list[Any]:
@@ -103,7 +103,7 @@ class Body:
         start, stop = (constant(0), bounds[0]) if len(bounds) == 1 else bounds[:2]
         step = bounds[2] if len(bounds) > 2 else constant(1)
         if {start.type, stop.type} != {INT} or not step.is_constant or step.value == 0:
-            self.source.refuse(node, "a range of no whole numbers, or by no constant")
+            self.source.refuse(node, "a range that is not of integers, or whose step is not a constant")
         name = self._counter(node)
         statements: list[Any] = []
         start, stop = (self._once(bound, statements) for bound in (start, stop))
@@ -131,7 +131,7 @@ class Body:
         for other in others:
             set_inside = isinstance(other.ctx, ast.Store) and id(other) in inside and other is not node.target
             if set_inside or (id(other) not in inside and not self._of_another_loop(other)):
-                self.source.refuse(other, f"the loop variable {name!r} outside its loop, or set in it")
+                self.source.refuse(other, f"the loop variable {name!r} is used outside its loop, or set in it")
         return name
 
     def _of_another_loop(self, name: ast.Name) -> bool:
@@ -178,7 +178,7 @@ class Body:
         return [If(test, one, other)]
 
     def _annassign(self, node: ast.AnnAssign) -> list[Any]:
-        return self.source.refuse(node, "an annotated variable is not known")
+        return self.source.refuse(node, "annotated variables are not supported")
 
     def _augassign(self, node: ast.AugAssign) -> list[Any]:
         load = ast.copy_location(_loaded(node.target), node.target)
@@ -200,9 +200,9 @@ class Body:
         if isinstance(place.type, Array) and isinstance(value.type, Scalar):
             return [self._fill(node, place, value)]
         if not isinstance(place.type, Scalar):
-            self.source.refuse(node, "stored into what is no number")
+            self.source.refuse(node, "a value stored into something that is not a number")
         if place.type is INT and value.type is REAL:
-            self.source.refuse(node, "a real stored as a whole number")
+            self.source.refuse(node, "a real number stored as an integer")
         wanted = REAL if place.type is SINGLE else place.type  # which the back end makes narrow as it stores
         return [Assign(place, self.expressions.cast(node, value, wanted))]
 
@@ -210,21 +210,21 @@ class Body:
         before = self.variables.get(name)
         kind = value.type if before is None else unified(before, value.type)
         if kind is None or kind == Nothing():
-            self.source.refuse(node, f"{name!r} is {before}, and here {value.type}")
+            self.source.refuse(node, f"{name!r} is {before}, but {value.type} here")
         if name in self._parameters and kind != before:
-            self.source.refuse(node, f"the parameter {name!r} becomes another type")
+            self.source.refuse(node, f"the type of the parameter {name!r} changes")
         self.variables[name] = kind
         if isinstance(kind, Scalar):
             return [Assign(Expr("var", kind, value=name), self.expressions.cast(node, value, kind))]
         if isinstance(kind, Several) and value.op != "several":
-            self.source.refuse(node, "one name for values side by side")
+            self.source.refuse(node, "one name for a tuple")
         return [Bind(name, value)]
 
     def _spread(self, node: ast.stmt, target: ast.Tuple, value: Expr) -> list[Any]:
         """Values side by side, each to its own target; all are worked out before the first is stored."""
         statements: list[Any] = []
         if not isinstance(value.type, Several) or len(value.type.items) != len(target.elts):
-            self.source.refuse(node, "not as many values as targets")
+            self.source.refuse(node, "the numbers of values and targets differ")
         if value.op == "several":
             items = list(value.args)
             if not _apart(target, items):
@@ -241,7 +241,7 @@ class Body:
         places = target.slice.elts if isinstance(target.slice, ast.Tuple) else [target.slice]
         array = self.expressions.lower(target.value)
         if not isinstance(array.type, Array) or len(places) > len(array.type.shape):
-            self.source.refuse(target, "a slice of no array")
+            self.source.refuse(target, "a slice of something that is not an array")
         first = 0
         for n, place in enumerate(places):
             if not isinstance(place, ast.Slice) or place.upper is not None or place.step is not None:
@@ -249,14 +249,14 @@ class Body:
             if place.lower is not None:
                 lower = self.expressions.number(place.lower)
                 if not lower.is_constant or n + 1 != len(array.type.shape):
-                    self.source.refuse(target, "a slice from no constant, or of no last axis")
+                    self.source.refuse(target, "a slice that starts at no constant, or is not along the last axis")
                 first = lower.value
         return self._fill(target, array, value, first)
 
     def _fill(self, node: ast.AST, array: Expr, value: Expr, first: int = 0) -> Fill:
         assert isinstance(array.type, Array)
         if not isinstance(array.type.element, str) or not value.is_constant:
-            self.source.refuse(node, "filled with what is no constant, or of records")
+            self.source.refuse(node, "an array filled with something that is not a constant, or an array of records")
         kind = REAL if array.type.element[0] == "f" else INT
         return Fill(array, self.expressions.cast(node, value, kind), first)
 

@@ -408,7 +408,7 @@ def _mass(found: PaperResult) -> Figure:
             "m_p / kg",
             (
                 Line("truth", since, truth, Colour.MEASURED, "dashed"),
-                Line("as it stands", since, np.clip(all_samples, -reach, reach), Colour.TEXTBOOK),
+                Line("all samples", since, np.clip(all_samples, -reach, reach), Colour.TEXTBOOK),
                 Line("samples at rest left out", since, np.clip(in_motion, -reach, reach), Colour.BEFORE),
                 Line(ESTIMATOR, since, found.weighed.mass, Colour.AFTER),
             ),

@@ -442,5 +442,5 @@ def test_a_file_that_was_changed_since_it_was_read_is_refused(tmp_path: Path) ->
     assert Program(LAYOUT).function(module.double, (Record(DATA),)).body
     path.write_text(path.read_text().replace("2.0", "3.0"))
     linecache.checkcache(str(path))
-    with pytest.raises(CodegenError, match=r"changing\.py:4: double: the file is another"):
+    with pytest.raises(CodegenError, match=r"changing\.py:4: double: the file has changed"):
         Program(LAYOUT).function(module.double, (Record(DATA),))
