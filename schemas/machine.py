@@ -26,7 +26,7 @@ class JointFriction(TomlTable):
     # rad/s or m/s over which Coulomb friction changes sign; 0: a jump
     friction_transition: NotNegative | list[Positive] = 0.0
     torque_timing_s: float = 0.0  # time by which the torque is older than the position
-    # Hz up to which the torque follows the motion as modelled; above, a prediction says nothing. Default: no limit
+    # Hz up to which the torque follows the motion as modelled; above, predictions are not reliable. Default: no limit
     torque_band_hz: Positive | None = None
 
 

@@ -273,8 +273,8 @@ class Identified(TomlTable):
     torque_noise_nm: JointParameter | None = None  # rms per sample of the torque signal's white noise
     model_error_nm: JointParameter | None = None  # rms residual of the model above that noise, while moving
     torque_commanded: bool = False  # the reported torque is the commanded one and white noise
-    # Time by which the commanded torque is ahead of the reported one, where nothing but that, noise and a filter among
-    # the effects tells them apart; else absent.
+    # Time by which the commanded torque leads the reported one, if they differ only by that, by noise and by a filter
+    # among the effects; else absent.
     torque_command_ahead_s: float | None = None
     friction_transition_radps: NotNegative = 0.0  # speed over which Coulomb friction changes sign; 0: a jump
     # Standard error of the torque constants as a share, by a known load; absent without one.
