@@ -41,7 +41,7 @@ class Axis(TomlTable):
     @model_validator(mode="after")
     def _weight(self) -> Axis:
         if self.unit == "m" and self.gravity:
-            raise ValueError("gravity: a linear axis has a constant weight, which is its constant load")
+            raise ValueError("gravity: the weight of a linear axis is constant, and is part of its constant load")
         return self
 
     @property

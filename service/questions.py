@@ -128,7 +128,7 @@ def _arm(questions: Sequence[Question], answers: Mapping[str, str], urdf: str) -
     return (
         f"name = {json.dumps(answers['name'])}\n"
         'kind = "chain"\n'
-        f"urdf = {json.dumps(urdf)}  # beside this file\n"
+        f"urdf = {json.dumps(urdf)}  # next to this file\n"
         f"joints = {json.dumps(joints)}  # in the order of the log\n"
         f"gear_ratio = {_value(ratio, answers['gear_ratio'])}  # {ratio.comment}; or a list, one per joint\n"
     )
