@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from schemas.trace import Trace
 from service.model.effects.base import Readout
@@ -42,6 +41,7 @@ def command_ahead(traces: Sequence[Trace], readout: Readout) -> float | None:
     `readout`; None if not. Looked for within a sample of `readout.late`, for positions may be late themselves."""
     if readout.follows > 0.0 or any(trace.torque_command is None for trace in traces):
         return None
+    from scipy.optimize import minimize_scalar  # takes a while to import, for few logs
 
     def reported(late: float, trace: Trace) -> Callable[[np.ndarray], np.ndarray]:
         return partial(replace(readout, late=late).report, period=trace.period)
