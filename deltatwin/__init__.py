@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         rollout,
         save_robot,
     )
+    from deltatwin.public_trace import Trace
     from deltatwin.results import (
         DiagnosisResult,
         EvaluationResult,
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
         PayloadResult,
         RolloutResult,
     )
-    from deltatwin.trace import Trace
     from schemas.errors import DataError, DeltatwinError, PoseError, RobotError, StorageError, TraceError
 
 __all__ = [

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Literal, overload
 
 import schemas.trace as recorded
+from deltatwin.public_trace import Mapping as ColumnMapping
+from deltatwin.public_trace import Trace, as_list
 from deltatwin.results import (
     DiagnosisResult,
     EvaluationResult,
@@ -16,11 +18,9 @@ from deltatwin.results import (
     PayloadResult,
     RolloutResult,
 )
-from deltatwin.trace import Mapping as ColumnMapping
-from deltatwin.trace import Trace, as_list
 from drivers import trace as files
-from schemas.axes import Axes, Description, load_description, save_description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, Description, load_description, save_description
+from schemas.chain_description import Chain
 from schemas.columns import Columns
 from schemas.errors import DataError
 from schemas.questions import Question, as_delta
@@ -174,9 +174,9 @@ def diagnose(
     Raises:
         DataError: no joint moves, a torque that was not recorded, logs of several rates. TraceError: a log is unusable.
     """
-    from service.diagnosis.diagnose import diagnose as find
     from service.diagnosis.documents.document import corrected, document, frequency_response
-    from service.diagnosis.documents.online import online_trial
+    from service.diagnosis.documents.worth import online_trial
+    from service.diagnosis.pipeline import diagnose as find
     from service.model.effects import catalogue
 
     logs, kept = as_list(traces), as_list(tests)
@@ -241,10 +241,10 @@ def payload(robot: Description, trace: recorded.Trace, frame: str | None = None)
         True
     """
     if not isinstance(robot, Robot):
-        from service.identification.load import load_on
+        from service.identification.log_load import load_on
 
         return LoadResult(robot, load_on(robot, trace, frame))
-    from service.identification.payload import common_error, levels, payload_history
+    from service.identification.weighed_picks import common_error, levels, payload_history
 
     if frame is not None:
         raise DataError(f"frame {frame!r}: a Delta robot has its load on the platform")
@@ -314,8 +314,8 @@ def rollout(
         if len(others) < len(named):
             raise DataError(f"{', '.join(named)}: compare descriptions of one machine")
         return JointRolloutResult(joints.compare(joints.named(others), logs, horizon, progress))
-    from service.rollout.document import document
     from service.rollout.gap import PLAIN, compare, plain, refuse_another_robot
+    from service.rollout.rollout_page import document
 
     given = {name: as_delta(one, Question.COMMANDS) for name, one in named.items()}
     refuse_another_robot(given)

@@ -22,12 +22,12 @@ from typing import Any
 
 import mujoco
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.errors import DataError
 from schemas.questions import Question, as_delta
 from schemas.robot import Robot
 from service.machines import machine_of
-from service.rollout.export import to_mjcf
+from service.rollout.simulator_files import to_mjcf
 
 
 def model_of(robot: Description) -> mujoco.MjModel:

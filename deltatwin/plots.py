@@ -14,6 +14,7 @@ from service.pages import LOG_AXIS, under_buttons
 from service.pages.palette import JOINTS, Colour, faint
 
 if TYPE_CHECKING:
+    from deltatwin.public_trace import Trace
     from deltatwin.results import (
         EvaluationResult,
         IdentificationResult,
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
         LoadResult,
         PayloadResult,
     )
-    from deltatwin.trace import Trace
 
 EVENTS = {PayloadEvent.PICK: Colour.PICK, PayloadEvent.RELEASE: Colour.RELEASE}
 HEIGHT = 190  # of a joint's row

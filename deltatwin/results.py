@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.robot import Robot
 from schemas.words import percent
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
     from drivers.data_frames import pl
     from schemas.diagnosis import Diagnosis
-    from schemas.rollout import RolloutDocument
+    from schemas.rollout_document import RolloutDocument
     from service.diagnosis.findings import Findings
     from service.identification.calibration import CalibratedFigure
     from service.identification.evaluation import Evaluation
-    from service.identification.load import Load
-    from service.identification.payload import CommonError, MassLevel, PayloadHistory
+    from service.identification.log_load import Load
     from service.identification.pooled import Plain
+    from service.identification.weighed_picks import CommonError, MassLevel, PayloadHistory
     from service.rollout.joints import JointRollout
 
 MOST_ROWS = 12  # of a table in a notebook
@@ -322,7 +322,7 @@ class RolloutResult(Result):
 
     @property
     def conclusion(self) -> str:
-        from service.rollout.document import sentences
+        from service.rollout.rollout_page import sentences
 
         return " ".join(sentences(self.document))
 
@@ -338,7 +338,7 @@ class RolloutResult(Result):
 
     def plot(self) -> go.Figure:
         """How the platform's error grows over the horizon."""
-        from service.rollout.document import growth
+        from service.rollout.rollout_page import growth
 
         return growth(self.document)
 
@@ -346,7 +346,7 @@ class RolloutResult(Result):
         return f"{_count(self.document.windows, 'window')} of {1e3 * self.document.horizon_s:.0f} ms"
 
     def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
-        from service.rollout.document import in_figures
+        from service.rollout.rollout_page import in_figures
 
         head = ("robot", "platform, mm", "joints, mrad")
         return head, [
@@ -378,7 +378,7 @@ class LoadResult(Result):
 
     def to_frame(self) -> pl.DataFrame:
         """One row per parameter: name, value, std_error, unit, separable (whether the motion determines it)."""
-        from service.identification.load import AXES
+        from service.identification.log_load import AXES
 
         one = self.load
         rows = [("mass", one.mass, one.mass_error, "kg", one.seen)]

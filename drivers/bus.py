@@ -34,8 +34,8 @@ from drivers.peer import THREADS, peer_settings
 from drivers.ros import NOTE, ROUTER, RosNode
 from drivers.security.check import check, find_files
 from schemas.errors import BusError, RoleTakenError
-from schemas.keys import liveliness_key, robot_key, topic_key
 from schemas.messages import TOPICS, Role
+from schemas.zenoh_keys import liveliness_key, robot_key, topic_key
 
 LINK_S = 0.5  # by then every role that runs has linked up with one that has just come
 NOTICES = 4096  # of roles that come and go; more than anybody leaves unread

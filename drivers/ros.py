@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 import zenoh
 
-from schemas.keys import robot_key, topic_name
 from schemas.messages import TOPICS, Role
 from schemas.ros2 import type_hash
+from schemas.zenoh_keys import robot_key, topic_name
 
 ROUTER = "tcp/127.0.0.1:7447"  # where `ros2 run rmw_zenoh_cpp rmw_zenohd` listens
 NOTE = "uses ROS 2 topics on loopback: any process on this host can send as any role"

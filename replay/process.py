@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from service.estimator.estimator import Result, rate_of
 from service.estimator.online import estimator_of
 

@@ -6,7 +6,7 @@ from enum import Enum
 from pathlib import Path
 from typing import NoReturn
 
-from schemas.axes import Description, load_description
+from schemas.axes_description import Description, load_description
 from schemas.errors import UnansweredError
 from schemas.robot import Robot
 

@@ -13,9 +13,9 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PrivateA
 from schemas.columns import Columns
 from schemas.errors import RobotError
 from schemas.files import make_folder, write_text
-from schemas.keys import check_robot_name
 from schemas.messages import OF_DELTA, Topics
 from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
+from schemas.zenoh_keys import check_robot_name
 
 
 def _vector(value: Any) -> Any:

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.ethercat.capture import Capture
-from drivers.plant.truth import TRUTHS
-from drivers.segment.wire import INPUT_DELAY_CYCLES
+from drivers.simulated.plant.truth import TRUTHS
+from drivers.simulated.segment.wire import INPUT_DELAY_CYCLES
 from schemas.errors import BusError, StorageError, TraceError
 from schemas.files import make_folder, write_text
 from schemas.messages import PayloadEvent, SampleFlag, stamp_ns

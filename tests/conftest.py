@@ -21,11 +21,13 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY / "tests" / "data"
 # What watches the clock, on interfaces, sockets and roles: one after the other when tests run on several workers.
 ON_THE_CLOCK = (
-    *(f"tests/drivers/ethercat/test_{name}" for name in ("faults", "master", "passed_over", "segment", "tap")),
+    *(f"tests/drivers/ethercat/test_{name}" for name in ("faults", "soem_master", "passed_over", "segment")),
+    "tests/drivers/ethercat/test_live_tap",
     *(f"tests/drivers/test_{name}.py" for name in ("bus", "health", "motion", "ros", "security")),
-    "tests/drivers/plant/test_live.py", "tests/replay", "tests/service/test_", "tests/service/monitor",
+    "tests/drivers/simulated/plant/test_plant_on_bus.py", "tests/replay", "tests/service/test_",
+    "tests/service/monitor",
     "tests/service/cli/test_demo.py", "tests/service/cli/test_replay.py",
-    "tests/service/experiment/test_closed_loop.py",
+    "tests/service/experiment/test_live_loop.py",
     "tests/service/machines/test_every_command.py::test_a_log_on_the_bus",
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[ethercat",
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[first-demo",
@@ -39,7 +41,7 @@ BY_RIGHTS = (
 
 # What takes most of the time, computing or waiting: `.ci/run` runs it, `uv run pytest` does without. Of all that moves
 # a robot (master, estimator, bounds, identification, diagnosis, commands) other tests are in the quick set.
-MASTER = "tests/drivers/ethercat/test_master.py::test_"
+MASTER = "tests/drivers/ethercat/test_soem_master.py::test_"
 FAILS = f"{MASTER}what_fails_while_running_ends_the_run_with_its_name"
 JUMPS = f"{MASTER}a_target_that_jumps_or_cannot_be_is_not_sent"
 SLOW = (
@@ -53,8 +55,9 @@ SLOW = (
     f"{FAILS}[silence", f"{FAILS}[trip",
     "tests/drivers/ethercat/test_passed_over.py",
     "tests/drivers/ethercat/test_segment.py::test_the_tap_reads_the_gripper",
-    "tests/drivers/ethercat/test_tap.py::test_a_capture_played_as_live", "tests/drivers/plant/test_cases.py",
-    "tests/drivers/plant/test_effects.py", "tests/drivers/test_motion.py::test_a_master_does_not_load_the_simulator",
+    "tests/drivers/ethercat/test_live_tap.py::test_a_capture_played_as_live",
+    "tests/drivers/simulated/plant/test_cases.py", "tests/drivers/simulated/plant/test_effects.py",
+    "tests/drivers/test_motion.py::test_a_master_does_not_load_the_simulator",
     "tests/drivers/test_ros.py::test_the_graph",
     *(f"tests/drivers/test_security.py::test_{name}" for name in (
         "a_role_writes_only_what_is_its_own", "intruder_neither_reads_nor_writes[expired",
@@ -68,16 +71,16 @@ SLOW = (
     "tests/service/codegen/test_structured_text.py", "tests/service/codegen/test_twin.py",
     "tests/service/codegen/test_types.py",
     "tests/service/diagnosis/test_accepted.py", "tests/service/diagnosis/test_axes.py",
-    "tests/service/diagnosis/test_bad_input.py", "tests/service/diagnosis/test_blindtest.py",
+    "tests/service/diagnosis/test_bad_input.py", "tests/service/diagnosis/test_sealed_cases.py",
     "tests/service/diagnosis/test_earned.py", "tests/service/diagnosis/test_exchange.py",
     "tests/service/diagnosis/test_first_screen.py", "tests/service/diagnosis/test_found_again.py",
-    "tests/service/diagnosis/test_base_first.py", "tests/service/diagnosis/test_diagnose.py",
+    "tests/service/diagnosis/test_base_first.py", "tests/service/diagnosis/test_pipeline.py",
     *(f"tests/service/estimator/test_joints.py::test_{name}" for name in (
         "hostile", "the_same_samples", "a_release_and_a_pick", "the_torque_of_an_arm", "motion_that_does_not_tell")),
-    "tests/service/diagnosis/test_online.py", "tests/service/machines/test_files.py",
-    "tests/service/rollout/test_kernel.py", "tests/service/watch/test_watch.py",
+    "tests/service/diagnosis/test_online.py", "tests/service/machines/test_exported.py",
+    "tests/service/rollout/test_kernel.py", "tests/service/watch/test_state_machine.py",
     "tests/service/rollout/test_rollout.py::test_the_right_model", "tests/service/cli/test_import.py::test_real_logs",
-    "tests/service/identification/test_axes.py::test_evaluate_and_diagnose",
+    "tests/service/identification/test_joint_machines.py::test_evaluate_and_diagnose",
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[servo-axis",
     "tests/service/pages/test_drawn.py",
     "tests/service/diagnosis/test_placement.py", "tests/service/diagnosis/test_real_machines.py",
@@ -87,8 +90,8 @@ SLOW = (
     "tests/service/estimator/test_plants.py", "tests/service/experiment",
     "tests/service/fleet/test_fleet.py", "tests/service/identification/test_chain.py",
     "tests/service/diagnosis/test_located.py::test_a_magnet",
-    "tests/service/identification/test_load.py", "tests/service/machines/test_every_command.py",
-    "tests/service/machines/test_motion.py::test_what_is_simulated",
+    "tests/service/identification/test_log_load.py", "tests/service/machines/test_every_command.py",
+    "tests/service/machines/test_joint_motions.py::test_what_is_simulated",
     "tests/service/identification/test_pooled.py::test_standard_errors_cover_the_truth",
     "tests/service/monitor/test_monitor.py::test_full_disk",
     "tests/service/pages/test_pages.py::test_a_page_is_printed_where_there_is_a_browser",
@@ -96,7 +99,7 @@ SLOW = (
     "tests/service/test_ethercat_demo.py::test_every_claim_holds",
     "tests/service/test_ethercat_demo.py::test_a_cycle_that_differs", "tests/service/test_hostile.py",
     "tests/service/test_stopping.py::test_a_role_ends_well_whenever",
-    "tests/service/test_supervisor.py::test_what_is_left", "tests/service/watch/test_node.py",
+    "tests/service/test_supervisor.py::test_what_is_left", "tests/service/watch/test_watch_node.py",
     "tests/test_second_plant.py", "tests/test_wheel.py",
 )  # fmt: skip
 

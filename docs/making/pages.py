@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from docs.making import commands, drawings, effects, figures, messages, models, python
-from drivers.plant.truth import PlantTruth
-from schemas.axes import Axes
-from schemas.chain import Chain
+from drivers.simulated.plant.truth import PlantTruth
+from schemas.axes_description import Axes
+from schemas.chain_description import Chain
 from schemas.columns import Columns
 from schemas.diagnosis import Diagnosis
 from schemas.messages import TOPICS

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.plant.cases import simulate_case
-from drivers.plant.families import Draw
+from drivers.simulated.plant.cases import simulate_case
+from drivers.simulated.plant.families import Draw
 from drivers.trace import read_trace
 from schemas.robot import load_robot
 from schemas.trace import Trace

@@ -16,7 +16,7 @@ import threading
 import numpy as np
 
 from drivers.ethercat.cia402 import VELOCITY_ACTUAL, Scale, scales
-from drivers.ethercat.process_data.layout import INPUTS
+from drivers.ethercat.process_data.object_layout import INPUTS
 from schemas.messages import SAMPLE, SampleFlag, stamp_ns
 from schemas.robot import Robot
 

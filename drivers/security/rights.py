@@ -9,8 +9,8 @@ first; and `health`, which every role writes under one key, is believed to be th
 
 from __future__ import annotations
 
-from schemas.keys import liveliness_key, robot_key, topic_key
 from schemas.messages import OF_DELTA, OF_JOINTS, SAMPLES, TOPICS, Role
+from schemas.zenoh_keys import liveliness_key, robot_key, topic_key
 
 SOURCES = (Role.TAP, Role.PLAYER, Role.ROBOT)  # any of them may be the one that writes `sample`
 COMMON_NAME = 64  # longest common name of a certificate (RFC 5280, ub-common-name)

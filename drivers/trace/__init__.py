@@ -23,11 +23,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drivers.trace.tables import READERS
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.columns import CHANNELS, Columns, load_columns
 from schemas.errors import TraceError
 from schemas.files import opened, whole
-from schemas.machine import Machine
+from schemas.joints_description import Machine
 from schemas.messages import OF_DELTA, OF_JOINTS, TOPICS
 from schemas.questions import Question, as_delta
 from schemas.trace import Trace
@@ -73,7 +73,7 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
     if path.name.endswith(CAPTURE_ENDINGS):
         if robot is None:
             raise TraceError(f"{path}: a capture is read with its robot description (--robot): layout and scaling")
-        from drivers.trace.capture import read_capture
+        from drivers.trace.capture_trace import read_capture
 
         return read_capture(path, as_delta(robot, Question.FIELDBUS))
     if isinstance(robot, Machine):
@@ -111,7 +111,7 @@ def _is_codesys(path: Path) -> bool:
 
 def _foreign(path: Path, robot: Description | None, columns: Columns) -> Trace:
     from drivers.data_frames import pl
-    from drivers.trace.assembly import assemble, plan
+    from drivers.trace.from_columns import assemble, plan
     from drivers.trace.tables import joined, read_table
 
     layout = columns.model_dump(include=LAYOUT, exclude_defaults=True)

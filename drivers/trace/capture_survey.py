@@ -13,9 +13,9 @@ from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.doubles import without_doubles
 from drivers.ethercat.frames import AL_STATUS, FMMU, AlState, Command, DatagramFlag, Kind, decode
-from drivers.ethercat.process_data.clock import BUNCHED, GAP_PERIODS, Bunches, lost_cycles
-from drivers.ethercat.process_data.layout import STATUS, mapped_inputs, mapped_objects
-from drivers.trace.capture import CaptureReader
+from drivers.ethercat.process_data.cycle_clock import BUNCHED, GAP_PERIODS, Bunches, lost_cycles
+from drivers.ethercat.process_data.object_layout import STATUS, mapped_inputs, mapped_objects
+from drivers.trace.capture_trace import CaptureReader
 from schemas.errors import TraceError
 from schemas.messages import stamp_ns
 from schemas.robot import Robot

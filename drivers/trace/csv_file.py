@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from drivers.data_frames import pl
-from drivers.trace.assembly import Plan, assemble, plan
+from drivers.trace.from_columns import Plan, assemble, plan
 from drivers.trace.quality import EXACT_SECONDS
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.columns import CHANNELS, FILETIME_S, MAX_COLUMNS, TIME_UNITS, Columns
 from schemas.errors import TraceError
 from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes

@@ -13,10 +13,9 @@ from mcap.records import Channel, Schema
 from drivers.trace.bag import BagWriter
 from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
 from drivers.trace.quality import EXACT_SECONDS, RowNames, check
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
-from schemas.keys import robot_key, topic_name
 from schemas.messages import (
     CDR_LITTLE_ENDIAN,
     NANOSECONDS,
@@ -29,6 +28,7 @@ from schemas.messages import (
 )
 from schemas.ros2 import ros_type
 from schemas.trace import Trace
+from schemas.zenoh_keys import robot_key, topic_name
 
 _SAMPLE_TOPIC = re.compile(rf"^/?deltatwin/(?P<robot>[^/]+)/({'|'.join(SAMPLES)})$")  # the slash came later
 _MEASURED = {"stamp_sec", "sequence", "position", "torque", "flags"}

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from schemas.axes import Description
-from schemas.chain import Chain
+from schemas.axes_description import Description
+from schemas.chain_description import Chain
 from schemas.columns import implausible_rate
 from schemas.errors import TraceError
-from schemas.machine import Machine
+from schemas.joints_description import Machine
 from schemas.messages import SampleFlag
 from schemas.robot import Geometry, Robot
 from schemas.trace import Finding, Trace

@@ -13,12 +13,12 @@ import numpy as np
 
 from drivers.bus import Bus
 from drivers.inbox import sending
-from drivers.view.scene import ViewerScene
+from drivers.view.viewer_scene import ViewerScene
 from schemas.errors import BusError
-from schemas.keys import topic_name
 from schemas.messages import OF_DELTA, topics_of
 from schemas.robot import Robot
 from schemas.ros2 import RosType, ros_type
+from schemas.zenoh_keys import topic_name
 
 PERIOD_S = 0.05  # between two looks at the bus
 MOST_HZ = 200.0  # of a topic; a screen shows 60

@@ -58,8 +58,8 @@ def command(
     from schemas.errors import StorageError
     from schemas.files import make_folder, write_text
     from service.cli.main import MISSED
-    from service.diagnosis import blindtest
-    from service.diagnosis.blindpage import BOUNDS, headline, missed, write_page
+    from service.diagnosis import sealed_cases
+    from service.diagnosis.sealed_page import BOUNDS, headline, missed, write_page
     from service.diagnosis.workers import backend as workers
 
     if (out / "results.json").exists():
@@ -70,16 +70,16 @@ def command(
     with Progress(*bars, console=console(stderr=True)) as progress, workers(backend.value, jobs, scheduler):
         if not (out / "commitment.txt").exists():
             task = progress.add_task("simulating", total=cases)
-            for _ in blindtest.made(out, cases, seed, jobs, [one.value for one in family or Family]):
+            for _ in sealed_cases.made(out, cases, seed, jobs, [one.value for one in family or Family]):
                 progress.advance(task)
-            blindtest.seal(out)
+            sealed_cases.seal(out)
         commitment = (out / "commitment.txt").read_text(encoding="utf-8").strip()
         progress.console.print(f"key sealed: {commitment}", highlight=False)
         task = progress.add_task("diagnosing", total=len(list((out / "cases").glob("case_*"))))
-        rows = blindtest.answers(out, lambda: progress.advance(task))
-    keys = blindtest.unseal(out)
-    judged, refused = blindtest.judged(rows, keys), blindtest.refused(keys)
-    figures = blindtest.summary(judged)
+        rows = sealed_cases.answers(out, lambda: progress.advance(task))
+    keys = sealed_cases.unseal(out)
+    judged, refused = sealed_cases.judged(rows, keys), sealed_cases.refused(keys)
+    figures = sealed_cases.summary(judged)
     write_page(judged, figures, refused, commitment, out / "blindtest.html")
     results = {"summary": figures, "refused": refused, "rows": judged}
     write_text(out / "results.json", json_library.dumps(results, indent=1))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from schemas.messages import HealthFlag
     from schemas.robot import Robot
     from schemas.trace import Trace
-    from service.experiment.closed_loop import Subject, Tracking
+    from service.experiment.live_loop import Subject, Tracking
 
 LOGS, LOG_S = 4, 6.0  # to identify on: how many, and the length of each, s
 
@@ -85,13 +85,13 @@ def command(
     import numpy as np
 
     from drivers.motion import Planner
-    from drivers.plant.effects import draw_effect
-    from drivers.plant.plant import make_plant
+    from drivers.simulated.plant.effects import draw_effect
+    from drivers.simulated.plant.plant import make_plant
     from replay.realtime import go_realtime
     from schemas.files import make_folder, write_text
     from schemas.questions import Question, load_delta
     from service.cli.main import MISSED
-    from service.experiment.closed_loop import CORRECTED, FEEDBACK, RIGID, Subject, ratio, variants
+    from service.experiment.live_loop import CORRECTED, FEEDBACK, RIGID, Subject, ratio, variants
     from service.experiment.loop_page import HEAD, NOTE, SHORT, page, row, verdict_of_correction, verdict_of_models
     from service.experiment.pictures import write_page, write_pictures
 
@@ -156,8 +156,8 @@ def _learn(
 
     from schemas.errors import DataError
     from schemas.robot import save_robot
-    from service.experiment.logs import identification_motions, record
-    from service.identification.identify import identify
+    from service.experiment.experiment_logs import identification_motions, record
+    from service.identification.from_traces import identify
     from service.identification.regression import summarise
     from service.model.nominal import pack
 
@@ -202,8 +202,8 @@ def _load(path: Path, robot: Robot, effects: Path | None) -> Robot:
 def _diagnosed(robot: Robot, logs: list[Trace], effects: Path | None, progress: Callable[[str], None]) -> Robot:
     """The corrected description that `diagnose` makes of `logs`."""
     from schemas.robot import Robot
-    from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected
+    from service.diagnosis.pipeline import diagnose
     from service.model.effects import catalogue
 
     found = corrected(diagnose(robot, logs, catalogue(effects), progress))
@@ -215,7 +215,7 @@ def _run(
     subject: Subject, seed: int, motion: Trajectory, name: str, feed: Robot | None, lost: str | None,
     standing: HealthFlag, progress: Progress,
 ) -> Tracking:  # fmt: skip
-    from service.experiment.closed_loop import follow, tracking
+    from service.experiment.live_loop import follow, tracking
 
     task = progress.add_task(name, total=len(motion))
     run = follow(
@@ -242,7 +242,7 @@ def _in_words(robot: Robot) -> str:
 
 def _left_out(robot: Robot) -> list[str]:
     """Effects of a description that the online model does not carry."""
-    from service.estimator.effects import carried
+    from service.estimator.named_effects import carried
     from service.model.description import terms_of
 
     return [term.effect.name.replace("_", " ") for term in terms_of(robot) if not carried(term.effect)]

@@ -36,7 +36,7 @@ def command(
     """
 
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.errors import StorageError
     from schemas.questions import Question, as_delta
 
@@ -47,7 +47,7 @@ def command(
     capture = source.name.endswith(CAPTURE_ENDINGS)
     delta = as_delta(description, Question.FIELDBUS) if description and capture else None
     if delta and target.name.endswith(".mcap"):
-        from drivers.trace.capture import convert_capture  # as a stream: a capture can be larger than the memory
+        from drivers.trace.capture_trace import convert_capture  # as a stream: a capture can be larger than the memory
 
         with bars() as progress:
             task = progress.add_task(f"converting {source.name}", total=None)

@@ -57,7 +57,7 @@ def command(
             # While they start.
             from service.cli.live import Joints
             from service.monitor.readback import read_recording
-            from service.monitor.report import picture
+            from service.monitor.recording_picture import picture
             from service.pages import write_page
 
             for role in roles:
@@ -85,7 +85,7 @@ def command(
 
 
 def _errors(recorded: dict[str, Recorded]) -> dict[str, dict[str, np.ndarray]]:
-    from service.monitor.report import errors_by_model
+    from service.monitor.recording_picture import errors_by_model
 
     errors = errors_by_model(recorded["error"].records)
     return {model: {"mean_nm": mean, "std_nm": std} for model, (mean, std) in errors.items()}
@@ -95,7 +95,7 @@ def _payloads(recorded: dict[str, Recorded]) -> list[dict[str, Any]]:
     from replay.demo import PAYLOADS
     from schemas.messages import PayloadEvent, stamp_ns
     from service.estimator.kalman import SMOOTHING_LAG
-    from service.identification.payload import Weighed, delay, read_truth
+    from service.identification.weighed_picks import Weighed, delay, read_truth
 
     records = recorded["payload"].records
     known = stamp_ns(records) * 1e-9 + SMOOTHING_LAG

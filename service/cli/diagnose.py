@@ -55,17 +55,17 @@ def command(
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
-    from schemas.axes import load_description, save_description
+    from schemas.axes_description import load_description, save_description
     from schemas.errors import DataError
     from schemas.files import make_folder, write_text
-    from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected, document, frequency_response, made_from
     from service.diagnosis.documents.headline import headline
-    from service.diagnosis.documents.online import online_trial
     from service.diagnosis.documents.online_text import noted
     from service.diagnosis.documents.report import write_report
     from service.diagnosis.documents.text import paragraphs
-    from service.identification.payload import read_truth
+    from service.diagnosis.documents.worth import online_trial
+    from service.diagnosis.pipeline import diagnose
+    from service.identification.weighed_picks import read_truth
     from service.model.effects import catalogue
     from service.pages import browser, print_page
 

@@ -32,8 +32,8 @@ def command(
     import json as json_library
 
     from schemas.files import write_text
-    from service.doctor import bundle as whole
-    from service.doctor import examine
+    from service.checkup import bundle as whole
+    from service.checkup import examine
 
     with console(stderr=True).status("looking"):
         checks = examine()

@@ -30,12 +30,12 @@ def command(
     """
     from drivers.bus import check_free, open_bus
     from replay.realtime import go_realtime
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.messages import Role
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
+    from service.estimator.estimator_node import run
     from service.estimator.keep import Keeper
-    from service.estimator.node import run
     from service.estimator.online import compile_estimator
 
     description = load_description(robot, effects)

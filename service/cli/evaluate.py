@@ -37,9 +37,9 @@ def command(
 
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.errors import TraceError
-    from schemas.machine import Machine
+    from schemas.joints_description import Machine
     from service.identification.conclusion import of_evaluation
     from service.identification.evaluation import evaluate
     from service.identification.held import told_of_held

@@ -40,12 +40,12 @@ def command(
     import numpy as np
 
     from drivers.motion import Planner
-    from drivers.plant.plant import make_plant
-    from drivers.plant.truth import TRUTHS
+    from drivers.simulated.plant.plant import make_plant
+    from drivers.simulated.plant.truth import TRUTHS
     from drivers.trace import write_trace
     from schemas.files import make_folder
     from schemas.robot import load_robot, save_robot
-    from service.experiment.logs import excitations, record
+    from service.experiment.experiment_logs import excitations, record
     from service.experiment.paper import page, run, table_1
     from service.experiment.pictures import write_page, write_pictures
 

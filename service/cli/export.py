@@ -78,7 +78,7 @@ def command(
     """
     import sys
 
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.files import make_folder, write_text
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
@@ -103,7 +103,7 @@ def command(
     if to is Format.sheet:
         _sheet(description, out, log or [])
         return
-    from service.rollout.export import to_mjcf, to_urdf
+    from service.rollout.simulator_files import to_mjcf, to_urdf
 
     make_folder(out.parent)
     if to is Format.urdf:

@@ -12,7 +12,7 @@ from service.cli.output import Table, console, say_headline, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
-    from schemas.fleet import Fleet
+    from schemas.fleet_document import Fleet
 
 MOST_TOLD = 2  # figures of a change on a terminal; the page has all
 
@@ -46,7 +46,7 @@ def command(
     with bars() as progress:
         task = progress.add_task("surveying the logs", total=None)
         from drivers.trace import find_columns
-        from schemas.axes import load_description
+        from schemas.axes_description import load_description
         from service.diagnosis.workers import backend as workers
         from service.fleet.judge import Settings, survey
         from service.fleet.logs import members

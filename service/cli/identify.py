@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from schemas.axes import Description
+    from schemas.axes_description import Description
     from service.identification.calibration import CalibratedFigure
     from service.identification.pooled import ParameterEstimate, Plain
 
@@ -56,7 +56,7 @@ def command(
     """
     from dataclasses import asdict
 
-    from schemas.axes import load_description, save_description
+    from schemas.axes_description import load_description, save_description
     from schemas.files import make_folder
     from service.identification import rigs
     from service.identification.conclusion import of_fit

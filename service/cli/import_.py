@@ -13,7 +13,7 @@ from service.cli.output import table as printed
 
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
-    from schemas.axes import Description
+    from schemas.axes_description import Description
     from service.identification.proposal import Proposal
     from service.identification.readings import Stated
 
@@ -97,7 +97,7 @@ def command(
     """
     from dataclasses import replace
 
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.files import write_text
     from service.identification.proposal import propose
 

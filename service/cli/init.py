@@ -13,7 +13,7 @@ from service.cli.output import conclude
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from service.questions import Question
+    from service.interview import Question
 
 
 def command(
@@ -38,7 +38,7 @@ def command(
     """
     from schemas.errors import RobotError, StorageError
     from schemas.files import make_folder, write_text
-    from service.questions import DELTA, for_axes, for_urdf, write_up
+    from service.interview import DELTA, for_axes, for_urdf, write_up
 
     if urdf is not None and axes is not None:
         raise typer.BadParameter("an arm from its URDF or separate axes, not both", param_hint="--axes")

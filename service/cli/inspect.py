@@ -38,7 +38,7 @@ def command(
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace
     from drivers.trace.capture_survey import survey_capture
     from drivers.trace.survey import survey
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.errors import TraceError
     from schemas.questions import Question, as_delta
 

@@ -13,8 +13,8 @@ from service.cli.progress import bars
 if TYPE_CHECKING:
     import numpy as np
 
-    from schemas.axes import Description
-    from service.machines.motion import JointMotion
+    from schemas.axes_description import Description
+    from service.machines.joint_motions import JointMotion
 
 TRIES = 40  # motions that are compared
 DEFAULTS = {"--max-speed": 1.0, "--max-acceleration": 5.0}  # of a simulated machine, rad or m
@@ -41,7 +41,7 @@ def simulate_joints(
     from drivers.trace import write_trace
     from schemas.trace import Trace
     from service.machines import machine_of
-    from service.machines.motion import limits_of, multisine
+    from service.machines.joint_motions import limits_of, multisine
     from service.machines.simulated import simulate
     from service.model.description import base_of
 
@@ -88,7 +88,7 @@ def plan_joints(
 
     from schemas.errors import DataError
     from service.machines import machine_of
-    from service.machines.motion import limits_of, most_telling, torque_of
+    from service.machines.joint_motions import limits_of, most_telling, torque_of
     from service.model.description import base_of, in_units_of
     from service.model.parameters import base_parameters
 
@@ -144,7 +144,7 @@ def _read(path: Path, description: Description, period: float) -> JointMotion:
     from scipy.interpolate import make_interp_spline
 
     from drivers.trace import read_trace
-    from service.machines.motion import JointMotion
+    from service.machines.joint_motions import JointMotion
 
     trace = read_trace(path, description)
     time = np.arange(trace.time[0], trace.time[-1], period)

@@ -11,8 +11,8 @@ from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from schemas.axes import Axes
-    from schemas.chain import Chain
+    from schemas.axes_description import Axes
+    from schemas.chain_description import Chain
     from service.rollout.joints import JointRollout
 
 

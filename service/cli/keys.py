@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from drivers.security.keys import WrittenKeys
+    from drivers.security.certificates import WrittenKeys
 
 
 class SampleSource(StrEnum):
@@ -47,10 +47,10 @@ def command(
 
     Example: deltatwin keys --hosts cell-pc,192.168.4.20 --robot d3.toml --out keys
     """
-    from drivers.security.keys import make_keys, parse_hosts
-    from schemas.axes import load_description
-    from schemas.keys import check_robot_name
+    from drivers.security.certificates import make_keys, parse_hosts
+    from schemas.axes_description import load_description
     from schemas.messages import Role
+    from schemas.zenoh_keys import check_robot_name
 
     try:
         parsed = parse_hosts(hosts)

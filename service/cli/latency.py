@@ -13,7 +13,7 @@ from service.cli.output import QUANTILES, as_json, console, quantiles, table
 if TYPE_CHECKING:
     import numpy as np
 
-    from replay.latency import RoundTrip
+    from replay.round_trip import RoundTrip
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
     """
     from drivers.trace import read_trace
     from replay.demo import LOG, ROBOT
-    from replay.latency import take_turns
+    from replay.round_trip import take_turns
     from schemas.robot import load_robot
     from service.cli.progress import counting
 
@@ -58,7 +58,7 @@ def _echo(robot: str) -> None:
     """Answer as the estimator of `robot` with the least that can answer, until SIGTERM."""
     from contextlib import suppress
 
-    from replay.latency import echo
+    from replay.round_trip import echo
     from service.stopping import terminate_as_interrupt
 
     terminate_as_interrupt()

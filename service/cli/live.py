@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from drivers.bus import Bus
-    from schemas.axes import Description
+    from schemas.axes_description import Description
 
 MOST_EVENTS = 4  # listed
 WIDTH = 3  # columns at least: the payload takes as many

@@ -13,8 +13,8 @@ from service.cli.reading import reading
 if TYPE_CHECKING:
     import numpy as np
 
-    from schemas.axes import Description
-    from service.identification.load import Load
+    from schemas.axes_description import Description
+    from service.identification.log_load import Load
 
 
 def weigh(
@@ -28,7 +28,7 @@ def weigh(
     import typer
 
     from service.identification.conclusion import of_load
-    from service.identification.load import AXES, load_on
+    from service.identification.log_load import AXES, load_on
     from service.machines import machine_of
 
     machine_of(description).load(frame)  # before any log is read

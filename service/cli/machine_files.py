@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from schemas.axes import Description
+    from schemas.axes_description import Description
 
 
 def write_machine(description: Description, to: str, out: Path) -> None:

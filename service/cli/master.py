@@ -14,10 +14,10 @@ from service.cli.output import in_quantiles
 if TYPE_CHECKING:
     import numpy as np
 
-    from drivers.ethercat.master import Counts
+    from drivers.ethercat.soem_master import Counts
     from drivers.health import Health
     from schemas.robot import Robot
-    from service.feedforward import InCycle, OverBus, Steps
+    from service.feedforward_source import InCycle, OverBus, Steps
 
 
 CYCLE, BUS, OFF = "cycle", "bus", "off"  # where tau_FF comes from; else a library
@@ -66,7 +66,7 @@ def command(
     Example: deltatwin master eth1 --robot corrected.toml --feedforward twin/libtwin.so
     """
     from drivers.ethercat.interface import check_interface
-    from drivers.ethercat.master import Master, OffsetRamp, PositionRamp, follow
+    from drivers.ethercat.soem_master import Master, OffsetRamp, PositionRamp, follow
     from schemas.questions import Question, load_delta
 
     description = load_delta(robot, Question.FIELDBUS, effects)
@@ -75,7 +75,7 @@ def command(
     import numpy as np
 
     from drivers.bus import Bus, open_bus
-    from drivers.ethercat.report import Report
+    from drivers.ethercat.master_health import Report
     from drivers.ethercat.setpoints import SetpointPlan
     from drivers.health import Health
     from drivers.motion import Planner
@@ -85,7 +85,7 @@ def command(
     from schemas.messages import Role, StopReason
     from service.cli.progress import counting
     from service.estimator.bounds import bounds_of
-    from service.feedforward import InCycle, OverBus, goes_ahead, nothing
+    from service.feedforward_source import InCycle, OverBus, goes_ahead, nothing
     from service.stopping import stop_requested
 
     period = 1 / rate

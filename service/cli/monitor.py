@@ -14,7 +14,7 @@ from service.cli.output import conclude
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from service.monitor.node import Monitor
+    from service.monitor.monitor_node import Monitor
 
 
 SILENCE_S = 3.0  # without a sample, until it is said what else runs here
@@ -39,15 +39,15 @@ def command(
     import datetime
 
     from drivers.bus import open_bus, running
-    from drivers.view.scene import ViewerScene
+    from drivers.view.viewer_scene import ViewerScene
     from replay.realtime import PRIORITY, go_realtime
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.errors import StorageError
     from schemas.files import check_folder
     from schemas.messages import Role
     from schemas.robot import Robot
     from service.cli.progress import counting
-    from service.monitor.node import Monitor, run
+    from service.monitor.monitor_node import Monitor, run
     from service.monitor.writer import WriterThread
     from service.stopping import stop_requested
 

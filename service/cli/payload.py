@@ -13,7 +13,7 @@ from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from service.identification.payload import CommonError, MassLevel, PayloadHistory, Score
+    from service.identification.weighed_picks import CommonError, MassLevel, PayloadHistory, Score
 
 
 def command(
@@ -53,13 +53,13 @@ def command(
     """
     from dataclasses import asdict
 
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.errors import DataError
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
     from service.cli.load import weigh
     from service.identification.conclusion import of_payload
-    from service.identification.payload import common_error, levels, payload_history, read_truth, score
+    from service.identification.weighed_picks import common_error, levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one for each, in the same order")

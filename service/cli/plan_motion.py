@@ -75,7 +75,7 @@ def command(
     Example: deltatwin plan-motion --robot r.toml --for identify --out motion.csv --max-acceleration 120
     """
     from drivers.motion import Planner, limits_of
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.files import check_folder
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot

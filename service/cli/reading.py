@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from service.cli.output import console
 
 if TYPE_CHECKING:
-    from schemas.axes import Description
+    from schemas.axes_description import Description
     from schemas.trace import Trace
 
 

@@ -28,7 +28,7 @@ def command(
 
     from schemas.errors import StorageError
     from schemas.files import opened
-    from service.monitor.recover import recover
+    from service.monitor.repair import recover
 
     screen = console(stderr=True)
     with opened(source, StorageError) as raw:

@@ -43,7 +43,7 @@ def command(
     from drivers.trace import find_columns, read_trace
     from replay.player import play, schedule
     from replay.realtime import go_realtime
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.messages import TOPICS, Role
     from service.cli.progress import counting
 

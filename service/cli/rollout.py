@@ -13,7 +13,7 @@ from service.cli.reading import reading
 
 if TYPE_CHECKING:
     from schemas.robot import Robot
-    from schemas.rollout import RolloutDocument
+    from schemas.rollout_document import RolloutDocument
 
 
 def command(
@@ -42,14 +42,14 @@ def command(
 
     Example: deltatwin rollout test_*.csv --robot identified.toml --robot corrected.toml --out rollout
     """
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.errors import DataError
     from schemas.files import make_folder, write_text
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
     from service.cli.joint_rollout import roll_out
-    from service.rollout.document import document, headline, write_rollout
     from service.rollout.gap import PLAIN, compare
+    from service.rollout.rollout_page import document, headline, write_rollout
 
     described = {str(path): load_description(path, effects) for path in robot}
     others = [(Path(path).stem, one) for path, one in described.items() if not isinstance(one, Robot)]
@@ -94,7 +94,7 @@ def _robots(described: dict[str, Robot]) -> dict[str, Robot]:
 
 
 def _table(result: RolloutDocument) -> Table:
-    from service.rollout.document import in_figures
+    from service.rollout.rollout_page import in_figures
 
     head, rows = ["robot", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "platform, mm"], []
     if result.servo is not None:
@@ -107,7 +107,7 @@ def _table(result: RolloutDocument) -> Table:
 
 
 def _regimes(result: RolloutDocument) -> Table:
-    from service.rollout.document import in_figures
+    from service.rollout.rollout_page import in_figures
 
     names = [robot.robot for robot in (*result.robots, result.floor)]
     rows = [

@@ -14,7 +14,7 @@ import typer
 from service.cli.options import robot_file
 
 if TYPE_CHECKING:
-    from drivers.segment.wire import Switches
+    from drivers.simulated.segment.wire import Switches
 
 
 def command(
@@ -48,8 +48,8 @@ def command(
 
     from drivers.ethercat.cia402 import scales
     from drivers.ethercat.pdo import joint_pdos
-    from drivers.plant.plant import make_plant
-    from drivers.segment.wire import EthercatSegment, serve
+    from drivers.simulated.plant.plant import make_plant
+    from drivers.simulated.segment.wire import EthercatSegment, serve
     from drivers.trace import write_trace
     from drivers.trace.mcap_file import to_trace
     from replay.realtime import go_realtime

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from drivers.motion import Planner, Trajectory
-    from drivers.plant.live import LiveRun
-    from drivers.plant.plant import Plant
+    from drivers.simulated.plant.plant import Plant
+    from drivers.simulated.plant.plant_on_bus import LiveRun
     from schemas.robot import Robot
 
 
@@ -92,10 +92,10 @@ def command(
 
     from drivers.motion import Planner, limits_of
     from drivers.motion_file import read_motion
-    from drivers.plant.later import changes
-    from drivers.plant.later import later as read_later
-    from drivers.plant.plant import make_plant
-    from schemas.axes import load_description
+    from drivers.simulated.plant.later import changes
+    from drivers.simulated.plant.later import later as read_later
+    from drivers.simulated.plant.plant import make_plant
+    from schemas.axes_description import load_description
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.questions import Question, as_delta
@@ -163,7 +163,7 @@ def _plan(
 
 
 def _offline(robot: Robot, plant: Plant, motion: Trajectory, changes: dict[int, Plant], out: Path) -> None:
-    from drivers.plant.simulate import simulate
+    from drivers.simulated.plant.plant_trace import simulate
     from drivers.trace import write_trace
 
     with bars() as progress:
@@ -201,7 +201,7 @@ def _live(
     import numpy as np
 
     from drivers.bus import open_bus
-    from drivers.plant.live import run_live
+    from drivers.simulated.plant.plant_on_bus import run_live
     from drivers.trace import write_trace
     from replay.clock import Pacer
     from replay.realtime import go_realtime

@@ -33,7 +33,7 @@ def command(
     Example: deltatwin tap eth1 --robot d3.toml
     """
     from drivers.bus import open_bus
-    from drivers.ethercat.tap import FileSource, InterfaceSource, Tap
+    from drivers.ethercat.live_tap import FileSource, InterfaceSource, Tap
     from drivers.health import Health
     from replay.clock import wait_until
     from replay.realtime import go_realtime

@@ -32,7 +32,7 @@ def command(
     from rich.live import Live
 
     from drivers.bus import open_bus
-    from schemas.axes import load_description
+    from schemas.axes_description import load_description
     from schemas.messages import Role
     from service.cli.live import Joints, Roles
     from service.stopping import stop_requested

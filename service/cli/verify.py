@@ -11,7 +11,7 @@ from service.cli.options import AsJson
 from service.cli.output import conclude
 
 if TYPE_CHECKING:
-    from service.codegen.verify import Compared
+    from service.codegen.recorded_answers import Compared
 
 
 def command(
@@ -28,7 +28,7 @@ def command(
     """
     from service.cli.main import MISSED
     from service.codegen.folder import read_twin
-    from service.codegen.verify import verify
+    from service.codegen.recorded_answers import verify
     from service.monitor.readback import read_recording
 
     manifest, robot = read_twin(twin)

@@ -36,7 +36,7 @@ def command(
 
     description = load_delta(robot, Question.VIEW)
     if layout is not None:
-        from drivers.view.layout import layout as layout_of
+        from drivers.view.foxglove_layout import layout as layout_of
 
         write_text(layout, layout_of(description.name))
         typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")

@@ -45,14 +45,14 @@ def command(
 
     from drivers.bus import check_free, open_bus
     from replay.process import process
-    from schemas.axes import Axes, load_description
+    from schemas.axes_description import Axes, load_description
     from schemas.errors import DataError
     from schemas.files import make_folder
     from schemas.messages import LOAD, TOPICS, Role
     from service.cli.reading import reading
     from service.stopping import stop_requested
-    from service.watch.node import Examination, WatchNode, beyond_description, run
-    from service.watch.watch import Patience, Watch
+    from service.watch.state_machine import Patience, Watch
+    from service.watch.watch_node import Examination, WatchNode, beyond_description, run
 
     description = load_description(robot, effects)
     if description.identified is None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from schemas.files import whole
 from schemas.robot import Robot
-from service.codegen import parameters
+from service.codegen import tunable
 from service.codegen.source import CodegenError
 from service.codegen.twin import Twin, said, template, to_c
 from service.estimator import state
@@ -145,8 +145,8 @@ def variables(robot: Robot, period: float) -> list[Variable]:
     for name, meaning in (("gripper", "0 unknown, 1 open, 2 closed"), ("flags", "known faults of the sample, bits")):
         add(name, "input", "discrete", f"sample.{name}", "", meaning, is_real=False)
     settings = state.settings(robot, period, 1)
-    for one in parameters.LOADABLE:
-        for at in np.ndindex(parameters.shape(one)):
+    for one in tunable.LOADABLE:
+        for at in np.ndindex(tunable.shape(one)):
             name = "_".join([one.name, *(str(n + 1) for n in at)])
             place = f"parameters.{one.name}" + "".join(f"[{n}]" for n in at)
             value = repr(float(settings[one.name][0][at]))

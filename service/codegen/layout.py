@@ -14,8 +14,8 @@ from service.codegen.program import Layout
 from service.codegen.source import CodegenError
 from service.estimator import kalman, turning
 from service.estimator.branch import BRANCH
-from service.estimator.effects import MAX_EFFECTS, MEMORY
-from service.estimator.payload import state as payload
+from service.estimator.named_effects import MAX_EFFECTS, MEMORY
+from service.estimator.payload import payload_state as payload
 from service.estimator.state import SETTINGS, STATE, STEP
 
 WIRE = ("cdr_header", "frame_id")  # of a message, which no controller has to do with

@@ -14,7 +14,7 @@ import numpy as np
 
 from schemas.messages import TOPICS, FeedforwardSource
 from schemas.robot import Robot
-from service.codegen import parameters
+from service.codegen import tunable
 from service.codegen.c import nested
 from service.codegen.pou import DataType, Names, Pou, Variable, as_text
 from service.codegen.source import CodegenError
@@ -112,8 +112,8 @@ def _in_order(types: list[DataType]) -> list[DataType]:
 def _parameters(writer: Writer) -> list[DataType]:
     """The structure of what may be loaded."""
     members = []
-    for one in parameters.LOADABLE:
-        shape = parameters.shape(one)
+    for one in tunable.LOADABLE:
+        shape = tunable.shape(one)
         kind = writer.array(Array("f8", shape)) if shape else "LREAL"
         note = f"{one.unit}, {one.meaning}; {number(one.low, Scalar.REAL)} to {number(one.high, Scalar.REAL)}"
         members.append(Variable(writer.member(state.SETTINGS, one.name), kind, said_in_st(note)))
@@ -178,9 +178,9 @@ def _block(
         same_period=number(SAME_PERIOD, Scalar.REAL),
         roots=roots,
         has_fourth=has_fourth,
-        growth_share=number(parameters.growth_share(settings), Scalar.REAL),
+        growth_share=number(tunable.growth_share(settings), Scalar.REAL),
         behind_test="" if _kind(functions["answer"], 1) == "BOOL" else "<> 0",
-        loadable=[_loadable(writer, one) for one in parameters.LOADABLE],
+        loadable=[_loadable(writer, one) for one in tunable.LOADABLE],
     )
     return Pou(name, "FUNCTION_BLOCK", body.rstrip().splitlines(), "", inputs, [], outputs, own, "Once a cycle")
 
@@ -192,9 +192,9 @@ def _kind(function: Function, part: int) -> str:
     return SCALARS[kind]
 
 
-def _loadable(writer: Writer, one: parameters.Loadable) -> dict[str, Any]:
+def _loadable(writer: Writer, one: tunable.Loadable) -> dict[str, Any]:
     """Lines that test, take and tell one of the figures."""
-    field, shape = writer.member(state.SETTINGS, one.name), parameters.shape(one)
+    field, shape = writer.member(state.SETTINGS, one.name), tunable.shape(one)
     index = "".join(f"[{axis}]" for axis in "ij"[: len(shape)])
     given, kept = f"parameters.{field}{index}", f"it[0].{writer.member(state.STEP, 'settings')}.{field}{index}"
     low, high = (number(value, Scalar.REAL) for value in (one.low, one.high))

@@ -17,8 +17,8 @@ from schemas.errors import RobotError
 from schemas.robot import Identified, Robot
 from schemas.trace import Trace
 from service.estimator.bounds import ARM_ANGLES
-from service.estimator.effects import corrected
-from service.model.friction import mean_direction
+from service.estimator.named_effects import corrected
+from service.model.coulomb_viscous import mean_direction
 from service.model.kinematics import jacobian
 from service.model.nominal import DeltaModel, lengthened, pack
 from service.model.prediction import FULL, error_in_band, motion, predict_along

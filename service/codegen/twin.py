@@ -21,7 +21,7 @@ import numpy as np
 from schemas.errors import RobotError
 from schemas.messages import TOPICS, HealthFlag, Message
 from schemas.robot import Robot
-from service.codegen import float32, parameters
+from service.codegen import float32, tunable
 from service.codegen.c import UNROLLED, Writer, nested, number, word
 from service.codegen.layout import layout_of, optional
 from service.codegen.program import Layout, Program
@@ -31,7 +31,7 @@ from service.codegen.types import Array, Record, Scalar
 from service.estimator import state
 from service.estimator.estimator import LONGEST_PERIOD, SHORTEST_PERIOD
 from service.estimator.feedforward import plan_kernel
-from service.estimator.findings import findings_kernel
+from service.estimator.friction_health import findings_kernel
 from service.estimator.kalman import MAX_LAG
 from service.estimator.left_out import left_out
 from service.estimator.step import answer_kernel, look_back_kernel
@@ -100,7 +100,7 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
     layout, roots = program.layout, {root: function.name for root, function in functions.items()}
     writer, macro = Writer(layout, name), name.upper()
     size, looked_back = in_c(layout, state.STEP, single).itemsize, layout.constant("MAX_LAG", MAX_LAG)
-    loadable = [_loadable(writer, one) for one in parameters.LOADABLE]
+    loadable = [_loadable(writer, one) for one in tunable.LOADABLE]
     known = {"name": name, "macro": macro, "version": version("deltatwin"), "robot": said(robot.name)}
     header = template("twin.h").render(
         **known,
@@ -131,7 +131,7 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         same_period=repr(SAME_PERIOD),
         id=_ID,
         unrolled=UNROLLED,
-        growth_share=_literal(parameters.growth_share(settings)),
+        growth_share=_literal(tunable.growth_share(settings)),
     )
     if single:
         header, source = float32.in_single(header), float32.in_single(source)
@@ -219,8 +219,8 @@ def _comment(note: str) -> str:
     return f" /* {note} */" if note else ""
 
 
-def _loadable(writer: Writer, one: parameters.Loadable) -> dict[str, Any]:
-    shape = parameters.shape(one)
+def _loadable(writer: Writer, one: tunable.Loadable) -> dict[str, Any]:
+    shape = tunable.shape(one)
     axes = [{"name": axis, "count": count} for axis, count in zip("ij", shape, strict=False)]
     return {
         "name": one.name,

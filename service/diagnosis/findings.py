@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.diagnosis import Caution, Follows, Verdict
 from service.diagnosis.fit.selection import Scored, Selection
 from service.identification.fit import Problem

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from schemas.kernels import kernel
-from service.estimator.effects import MEMORY
+from service.estimator.named_effects import MEMORY
 from service.model.gears import TWIST, release_kernel
 
 BRANCH = np.dtype(

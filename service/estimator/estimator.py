@@ -22,8 +22,8 @@ from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, HealthFlag, stam
 from schemas.robot import Robot
 from service.estimator import state
 from service.estimator.feedforward import plan_kernel
-from service.estimator.findings import findings_kernel
-from service.estimator.payload.step import payload_kernel
+from service.estimator.friction_health import findings_kernel
+from service.estimator.payload.payload_step import payload_kernel
 from service.estimator.step import answer_kernel, look_back_kernel, run_kernel
 
 # Samples from which the period is read. Stamps of a bus jitter; the median of this many does not.

@@ -10,8 +10,8 @@ from schemas.kernels import kernel, part
 from schemas.messages import SampleFlag
 from service.estimator import departure
 from service.estimator.branch import ANSWERED, MEASURED, wake_kernel
-from service.estimator.effects import effects_kernel, encoder_kernel, remembering_kernel
 from service.estimator.kalman import ACCELERATION, POSITION, VELOCITY
+from service.estimator.named_effects import effects_kernel, encoder_kernel, remembering_kernel
 from service.estimator.stream import STATE_NEW, coast_cycles
 from service.estimator.wanted import (
     COMMAND,
@@ -24,10 +24,10 @@ from service.estimator.wanted import (
     stay_kernel,
     take_plan_kernel,
 )
+from service.model.coulomb_viscous import ball_joint_kernel, direction, friction_kernel
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
 from service.model.effects.base import Instant
 from service.model.forward import mass_kernel
-from service.model.friction import ball_joint_kernel, direction, friction_kernel
 from service.model.gears import advance_kernel, doubt_kernel, lead_kernel, release_kernel, through_kernel
 from service.model.kinematics import REACHED
 

@@ -9,7 +9,7 @@ import numpy as np
 from schemas.robot import Robot
 from service.estimator import kalman, readout
 from service.estimator.bounds import ARM_ANGLES
-from service.estimator.effects import carried, corrected, readout_of
+from service.estimator.named_effects import carried, corrected, readout_of
 from service.model.description import base_of, terms_of
 from service.model.effects.base import Effect
 from service.model.hypothesis import Term

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.messages import HealthFlag
 from schemas.robot import Robot
 from service.estimator import left_out as of_delta
@@ -42,7 +42,9 @@ def estimator_of(description: Description, period: float, stride: int = 1) -> On
     """
     if isinstance(description, Robot):
         return Estimator(description, period, stride)
-    from service.estimator.joints.estimator import JointEstimator  # its model takes a library that a Delta has not
+    from service.estimator.joints.joints_estimator import (
+        JointEstimator,  # its model takes a library that a Delta has not
+    )
 
     return JointEstimator(description, period, stride)
 
@@ -51,9 +53,9 @@ def left_out(description: Description, period: float) -> dict[str, str]:
     """Name -> why, of each effect of a description that the estimator does without at a sample every `period` s."""
     if isinstance(description, Robot):
         return of_delta.left_out(description, period)
-    from service.estimator.joints import state
+    from service.estimator.joints import joints_state
 
-    return state.left_out(description)
+    return joints_state.left_out(description)
 
 
 def compile_estimator(description: Description) -> None:
@@ -65,6 +67,6 @@ def compile_estimator(description: Description) -> None:
     if isinstance(description, Robot):
         compile_all(description)
         return
-    from service.estimator.joints.estimator import JointEstimator
+    from service.estimator.joints.joints_estimator import JointEstimator
 
     JointEstimator(description, 1e-3).warm_up()

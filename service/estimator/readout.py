@@ -14,7 +14,7 @@ import numpy as np
 from schemas.kernels import kernel
 from service.estimator.departure import PARTS
 from service.estimator.kalman import MAX_LAG
-from service.estimator.payload.state import LOADS
+from service.estimator.payload.payload_state import LOADS
 from service.model.effects.base import Readout
 from service.model.signals import ramp, shift_weights
 

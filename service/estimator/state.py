@@ -9,11 +9,11 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import commanded, departure, effects, kalman, readout, stream, turning
+from service.estimator import commanded, departure, kalman, named_effects, readout, stream, turning
 from service.estimator.bounds import acceleration_of, bounds_of, growth_of
 from service.estimator.branch import BRANCH
 from service.estimator.left_out import left_out, torque_left_out
-from service.estimator.payload import state as payload
+from service.estimator.payload import payload_state as payload
 from service.estimator.unsure import mass_error
 from service.model.description import base_of, terms_of
 from service.model.dynamics import REST_SPEED, TERMS
@@ -45,7 +45,7 @@ SETTINGS = np.dtype(
         ("coulomb", "f8", 3),  # N m
         ("transition", "f8"),  # rad/s over which friction turns, 0: within the rest speed
         ("wanted_transition", "f8"),  # rad/s, the same of a motion that is commanded or planned
-        ("effect", effects.EFFECT, effects.MAX_EFFECTS),
+        ("effect", named_effects.EFFECT, named_effects.MAX_EFFECTS),
         ("remembers", "i8"),  # whether an effect carries a state
         ("encoded", "i8"),  # whether an effect corrects the angles
         ("by_load", "i8"),  # whether an effect depends on the load of the gears
@@ -156,13 +156,13 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     """Everything the kernel needs to know of `robot` at one sample every `period` s, as one SETTINGS record."""
     record = np.zeros(1, SETTINGS)
     terms, described = terms_of(robot), robot
-    robot, ratio, scale = effects.corrected(robot)
+    robot, ratio, scale = named_effects.corrected(robot)
     identified = robot.identified
     record["model"] = record_of(pack(robot))
     without = left_out(robot, period)
     kept = [term for term in terms if term.effect.name not in without]
     ahead = None if identified is None or without else identified.torque_command_ahead_s
-    reading = readout.settings(effects.readout_of(described, kept), period, ahead)
+    reading = readout.settings(named_effects.readout_of(described, kept), period, ahead)
     motion = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading))
     for name in motion._fields:
         record["motion"][name] = getattr(motion, name)
@@ -193,9 +193,9 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
             left_over = np.array(identified.model_error_nm.value)
     if without:
         left_over = np.hypot(left_over, torque_left_out(described, period))
-    record["effect"] = effects.pack_effects(terms)
-    record["remembers"], record["by_load"] = effects.remembers(terms), effects.goes_by_load(terms)
-    record["encoded"], record["readout"] = effects.has_encoders(terms), reading
+    record["effect"] = named_effects.pack_effects(terms)
+    record["remembers"], record["by_load"] = named_effects.remembers(terms), named_effects.goes_by_load(terms)
+    record["encoded"], record["readout"] = named_effects.has_encoders(terms), reading
     figures = inside_of(terms).two_masses
     record["geared"] = bool(figures)
     record["gears"] = gears_of(pack(robot), base_of(described).rigid, figures)

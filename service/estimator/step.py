@@ -36,8 +36,8 @@ from service.estimator.kalman import (
     largest_innovation,
     smooth_kernel,
 )
-from service.estimator.payload.state import LOADS, PRIOR_STD
-from service.estimator.payload.step import loosen_kernel, payload_kernel, unseen_kernel, weigh_anew_kernel
+from service.estimator.payload.payload_state import LOADS, PRIOR_STD
+from service.estimator.payload.payload_step import loosen_kernel, payload_kernel, unseen_kernel, weigh_anew_kernel
 from service.estimator.readout import (
     COMMAND,
     TOLD,

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from schemas.words import percent, significant
-from service.experiment.closed_loop import CORRECTED, FEEDBACK, RIGID, SETTLING, Ratio, Tracking, ratio
+from service.experiment.live_loop import CORRECTED, FEEDBACK, RIGID, SETTLING, Ratio, Tracking, ratio
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, by_joint
 from service.pages import Headline
 from service.pages.palette import Colour

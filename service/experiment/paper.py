@@ -20,12 +20,12 @@ from schemas.words import percent, significant
 from service.estimator.recursion import FORGETTING
 from service.experiment.diagrams import IDENTIFICATION, WEIGHING
 from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section, by_joint
-from service.identification import paper, payload
+from service.identification import paper_method, weighed_picks
 from service.identification.evaluation import WITH_PAYLOAD, Evaluation, evaluate
-from service.identification.identify import identify
-from service.identification.payload import PayloadHistory, Pick, Score, payload_history, recursion
+from service.identification.from_traces import identify
 from service.identification.pooled import Identification
 from service.identification.regression import COULOMB, RHO_1, RHO_2, VISCOUS, NormalEquations, summarise
+from service.identification.weighed_picks import PayloadHistory, Pick, Score, payload_history, recursion
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
@@ -99,7 +99,7 @@ def run(
     """
     equations = [summarise(pack(robot), log) for log in logs]
     by_paper, by_pooled = identify(robot, equations, "paper"), identify(robot, equations, "pooled")
-    literal = _with_values(by_paper.robot, paper.literal(pack(robot), logs)[0])
+    literal = _with_values(by_paper.robot, paper_method.literal(pack(robot), logs)[0])
     weighed = payload_history(by_pooled.robot, picks)
     start = float(picks.time[0])
     truth = [Pick(start + load.pick, start + load.release, load.mass) for load in carried]
@@ -120,7 +120,7 @@ def run(
         picks=weighing,
         evaluated=evaluate(by_pooled.robot, picks),
         weighed=weighed,
-        scores=[payload.score(weighed, pick) for pick in truth],
+        scores=[weighed_picks.score(weighed, pick) for pick in truth],
         masses={
             "paper's recursion on the paper's model": paper_recursion(weighing.torque[FRICTION], True),
             "the same, samples at rest left out": paper_recursion(weighing.torque[FRICTION], False),
@@ -345,7 +345,7 @@ def _weighed(found: PaperResult) -> PageTable:
     for name, mass in found.masses.items():
         last = [np.flatnonzero((time >= score.truth.begin) & (time < score.truth.end))[-1] for score in found.scores]
         off = [abs(mass[row] - score.truth.mass) for row, score in zip(last, found.scores, strict=True)]
-        taken = [payload.settled(time, mass, score.truth) for score in found.scores]
+        taken = [weighed_picks.settled(time, mass, score.truth) for score in found.scores]
         held = np.isfinite(taken).sum()
         rows.append(
             (
@@ -427,8 +427,8 @@ def _mass(found: PaperResult) -> Figure:
 
 
 def _surface(found: PaperResult) -> Figure:
-    sums = paper.six_sums(found.equations[0].gram.sum(axis=0))
-    best = paper.grid(sums)
+    sums = paper_method.six_sums(found.equations[0].gram.sum(axis=0))
+    best = paper_method.grid(sums)
     rho_1 = np.linspace(max(0.0, best[0] - 1.5), best[0] + 1.5, GRID)
     rho_2 = np.linspace(max(0.0, best[1] - 1.0), best[1] + 1.0, GRID)
     first, second = np.meshgrid(rho_1, rho_2)
@@ -455,7 +455,7 @@ def _surface(found: PaperResult) -> Figure:
 
 
 def _per_trajectory(found: PaperResult) -> Figure:
-    each = np.array([paper.grid(paper.six_sums(one.gram.sum(axis=0))) for one in found.equations])
+    each = np.array([paper_method.grid(paper_method.six_sums(one.gram.sum(axis=0))) for one in found.equations])
     number = np.arange(1, len(each) + 1, dtype=float)
     panels = []
     pooled = found.by_pooled.robot.identified

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from math import hypot
 
 from schemas.diagnosis import Moved
-from schemas.fleet import Change, ChangeKind, DayResult
+from schemas.fleet_document import Change, ChangeKind, DayResult
 from schemas.words import change, percent, significant, words
 from service.diagnosis.documents.text import how_much
 

@@ -18,22 +18,22 @@ import joblib
 import numpy as np
 
 from drivers.trace import find_columns, read_trace
-from schemas.axes import Description, load_description, save_description
+from schemas.axes_description import Description, load_description, save_description
 from schemas.diagnosis import Provenance
 from schemas.errors import DataError, DeltatwinError, StorageError
 from schemas.files import MIB, make_folder, opened, read_bytes, write_text
-from schemas.fleet import DayResult, Fleet, LogResult, RobotHistory
-from schemas.machine import Machine
+from schemas.fleet_document import DayResult, Fleet, LogResult, RobotHistory
+from schemas.joints_description import Machine
 from schemas.robot import robot_file
 from schemas.trace import Trace
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
 from service.diagnosis.documents.text import caution, unasked
+from service.diagnosis.pipeline import diagnose
 from service.fleet.changes import changes
 from service.fleet.logs import Member
-from service.identification.axes import identify_axes
 from service.identification.evaluation import evaluate
-from service.identification.identify import identify
+from service.identification.from_traces import identify
+from service.identification.joint_machines import identify_axes
 from service.identification.regression import summarise
 from service.model.effects import catalogue
 from service.model.nominal import pack

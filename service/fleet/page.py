@@ -7,7 +7,7 @@ from pathlib import Path
 import plotly.graph_objects as go
 
 from schemas.diagnosis import named_joints
-from schemas.fleet import Change, DayResult, Fleet
+from schemas.fleet_document import Change, DayResult, Fleet
 from schemas.words import counted, words
 from service import pages
 from service.fleet.changes import gap_in_words

@@ -20,7 +20,7 @@ import numpy as np
 from schemas.errors import DataError
 from schemas.robot import EffectEntry, Identified, Robot
 from schemas.trace import Trace
-from service.estimator.payload.state import UNCALIBRATED
+from service.estimator.payload.payload_state import UNCALIBRATED
 from service.identification import checks
 from service.identification.fit import solve
 from service.identification.noise import white_noise

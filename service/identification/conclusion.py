@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.diagnosis import named_joints
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.words import percent
 from service.identification.evaluation import Evaluation, pooled_by_model
 from service.identification.fit import WITHIN_COLOURED
-from service.identification.payload import CommonError, MassLevel
 from service.identification.pooled import Plain
+from service.identification.weighed_picks import CommonError, MassLevel
 from service.model.description import in_units_of
 
 if TYPE_CHECKING:
-    from service.identification.load import Load
+    from service.identification.log_load import Load
 
 AS_IDENTIFIED = (
     2.0  # times what a model left of the logs that it was identified on, from which these logs are unlike them

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from schemas.axes import Description
-from schemas.machine import Machine
+from schemas.axes_description import Description
+from schemas.joints_description import Machine
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
@@ -122,7 +122,7 @@ def _events(trace: Trace, error: np.ndarray) -> list[Event]:
 
 def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:
     """Torque (N, 3), N m, of the payload as the online estimator weighs it; None where it saw no pick."""
-    from service.identification.payload import weighed  # and the estimator with it, which `identify` does without
+    from service.identification.weighed_picks import weighed  # and the estimator with it, which `identify` does without
 
     found = weighed(robot, trace)
     if not (found.event == PayloadEvent.PICK).any():

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace.quality import LARGEST
-from schemas.axes import Axes
-from schemas.chain import Chain
+from schemas.axes_description import Axes
+from schemas.chain_description import Chain
 from schemas.errors import DataError, TraceError
 from schemas.messages import SampleFlag
 from schemas.robot import Robot
@@ -27,7 +27,7 @@ from service.identification.checks import SUSPECT, TorqueReading, best_reading, 
 from service.identification.fit import within
 from service.identification.folds import BLOCK, FOLDS
 from service.identification.regression import summarise
-from service.model.friction import mean_direction
+from service.model.coulomb_viscous import mean_direction
 from service.model.mechanism import SerialArm, mechanism_of
 from service.model.nominal import pack
 from service.model.scene import Recording

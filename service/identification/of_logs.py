@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.errors import RobotError
-from schemas.machine import Machine
+from schemas.joints_description import Machine
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
 from service.identification.calibration import CalibratedFigure, calibrate
-from service.identification.identify import Method, identify
+from service.identification.from_traces import Method, identify
+from service.identification.joint_machines import identify_axes
 from service.identification.pooled import Identification
 from service.identification.regression import summarise
 from service.identification.rigs import Rig

@@ -20,7 +20,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.errors import DataError
 from schemas.robot import Robot
 from service.identification import bare as bare_model

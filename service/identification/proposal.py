@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from drivers.trace.assembly import on_other_rows, signed
+from drivers.trace.from_columns import on_other_rows, signed
 from drivers.trace.tables import Table
-from schemas.axes import Description
-from schemas.chain import Chain
+from schemas.axes_description import Description
+from schemas.chain_description import Chain
 from schemas.columns import CHANNELS, TIME_UNITS
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError

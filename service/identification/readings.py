@@ -16,11 +16,11 @@ import numpy as np
 
 from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
-from schemas.axes import Axes, Description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, Description
+from schemas.chain_description import Chain
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError, RobotError
-from schemas.machine import Machine
+from schemas.joints_description import Machine
 from schemas.robot import Robot
 from schemas.units import CONSTANTS, LINEAR, POSITION_SCALES, POSITION_UNITS, SHARES, TORQUE_SCALES, TORQUE_UNITS
 from service.identification.channels import WORDS, Channels, said_unit, tokens, unknown_unit

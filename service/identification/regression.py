@@ -12,9 +12,9 @@ import numpy as np
 
 from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
-from service.identification.commanded import is_commanded
 from service.identification.held import held_s
 from service.identification.loops import position_errors
+from service.identification.torque_source import is_commanded
 from service.model.kinematics import jacobian
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.errors import RobotError
 from service.model.mechanism import DecoupledAxes, Rigid
 

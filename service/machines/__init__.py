@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from schemas.axes import Axes, Description, load_description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, Description, load_description
+from schemas.chain_description import Chain
 from schemas.robot import Robot
 from service.machines.axes import AxesMachine
 from service.machines.chain import ChainMachine

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from service.machines.machine import MachineModel
 
 if TYPE_CHECKING:
-    from service.machines.files import MachineFile
+    from service.machines.exported import MachineFile
 
 
 class AxesMachine(MachineModel):

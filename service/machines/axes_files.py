@@ -8,9 +8,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.errors import RobotError
-from service.machines.files import MachineFile, figures, finish
+from service.machines.exported import MachineFile, figures, finish
 from service.model.description import base_of
 from service.model.mechanism import DecoupledAxes
 

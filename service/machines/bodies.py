@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from defusedxml.ElementTree import fromstring
 
-from schemas.chain import Chain
+from schemas.chain_description import Chain
 from service.machines.consistent import Bodies, bodies_near
 from service.model.arm import body_of, pseudo_inertia
 from service.model.description import base_errors, base_of

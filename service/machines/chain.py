@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from schemas.chain import Chain
+from schemas.chain_description import Chain
 from schemas.errors import RobotError
 from service.machines.bodies import IdentifiedBodies, identified_bodies
 from service.machines.machine import Dynamics, Limits, MachineModel
@@ -15,7 +15,7 @@ from service.model.mechanism import SerialArm
 from service.model.scene import Base
 
 if TYPE_CHECKING:
-    from service.machines.files import MachineFile
+    from service.machines.exported import MachineFile
 
 
 class ChainMachine(MachineModel):

@@ -11,12 +11,12 @@ from xml.etree import ElementTree
 import numpy as np
 from defusedxml.ElementTree import fromstring
 
-from schemas.chain import Chain
+from schemas.chain_description import Chain
 from schemas.errors import RobotError
 from schemas.files import read_bytes
 from schemas.urdf import MAX_BYTES
 from service.machines.bodies import IdentifiedBodies, identified_bodies
-from service.machines.files import MachineFile, figures, finish
+from service.machines.exported import MachineFile, figures, finish
 from service.model.arm import about_centre
 from service.model.description import base_of
 from service.model.mechanism import SerialArm

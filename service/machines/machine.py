@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from schemas.axes import Description
-from schemas.machine import Machine
+from schemas.axes_description import Description
+from schemas.joints_description import Machine
 from schemas.questions import Question, refuse
 from service.model.mechanism import Mechanism, mechanism_of
 from service.model.scene import Base
 
 if TYPE_CHECKING:
-    from service.machines.files import MachineFile
+    from service.machines.exported import MachineFile
 
 # (W, n) angles and speeds to mass matrices (W, n, n) and the torque (W, n) that no acceleration asks for
 Dynamics = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]

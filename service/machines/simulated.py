@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.errors import DataError
-from service.machines.forward import run
+from service.machines.forward_runs import run
+from service.machines.joint_motions import JointMotion
 from service.machines.machine import MachineModel
-from service.machines.motion import JointMotion
 from service.model.description import base_of, torque_along
 from service.model.signals import smooth
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from schemas.axes import Axes, AxesIdentified, Description
-from schemas.chain import Chain, ChainIdentified
+from schemas.axes_description import Axes, AxesIdentified, Description
+from schemas.chain_description import Chain, ChainIdentified
 from schemas.errors import RobotError
-from schemas.machine import Machine
+from schemas.joints_description import Machine
 from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Robot
 from service.model.effects import by_name, catalogue
 from service.model.effects.base import Effect

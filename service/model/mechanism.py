@@ -13,8 +13,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from schemas.axes import Axes, Description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, Description
+from schemas.chain_description import Chain
 from schemas.robot import Robot
 from service.model.arm import UNITS, Arm, Reduction
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms

@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from schemas.axes import Axes, Description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, Description
+from schemas.chain_description import Chain
 from schemas.errors import DataError, PoseError, TraceError
-from schemas.machine import Machine
+from schemas.joints_description import Machine
 from schemas.trace import Trace
+from service.model.coulomb_viscous import mean_direction
 from service.model.description import hypothesis_of, torque_along
-from service.model.friction import mean_direction
 from service.model.mechanism import mechanism_of
 from service.model.signals import Segment, between, lowpass, resolved_hz, segments, usable
 

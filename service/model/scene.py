@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.friction import mean_direction
+from service.model.coulomb_viscous import mean_direction
 from service.model.mechanism import Arms, Delta, Mechanism, Rigid, SerialArm
 from service.model.nominal import Correction
 from service.model.signals import Segment

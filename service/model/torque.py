@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.model.coulomb_viscous import mean_direction
 from service.model.effects.base import on_joint
 from service.model.effects.joint_elasticity import JointElasticity
 from service.model.elastic import coupled
-from service.model.friction import mean_direction
 from service.model.hypothesis import Hypothesis, Term, inside_of
 from service.model.scene import Scene
 from service.model.signals import Band, delayed, lowpass

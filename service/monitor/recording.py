@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace.bag import BagWriter
-from drivers.view.scene import ViewerScene
+from drivers.view.viewer_scene import ViewerScene
 from schemas.errors import StorageError
-from schemas.keys import topic_name
 from schemas.messages import OF_DELTA, SAMPLES, Topics, stamp_ns, topics_of
 from schemas.ros2 import ros_type
+from schemas.zenoh_keys import topic_name
 
 WAITING = 600  # batches of health, ten minutes at one a second
 DRAW_NS = 50_000_000  # between two states of the robot for viewers

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.view.scene import ViewerScene
+from drivers.view.viewer_scene import ViewerScene
 from schemas.errors import StorageError
 from schemas.messages import OF_DELTA, Topics
 from service.monitor.recording import RecordingWriter

@@ -21,7 +21,7 @@ from schemas.robot import Robot, Servo
 from schemas.trace import Trace
 from service.estimator.bounds import bounds_of
 from service.identification.noise import white_noise
-from service.identification.payload import carried
+from service.identification.weighed_picks import carried
 from service.model import kinematics
 from service.model.description import hypothesis_of
 from service.model.dynamics import REST_SPEED
@@ -31,7 +31,7 @@ from service.model.scene import Recording
 from service.model.signals import EDGE, LONGEST_STEP, Segment, one_period, segments_of, smooth
 from service.model.torque import predict
 from service.rollout.kernel import NO_DRIVES, SCRATCH, Drives, Pace, Runs, run_kernel
-from service.rollout.robot import SeenStretch, stretch
+from service.rollout.packed import SeenStretch, stretch
 from service.rollout.servo import commands_of, gains_of, identified
 
 HORIZON = 0.2  # s

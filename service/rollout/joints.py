@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.axes import Axes
-from schemas.chain import Chain
+from schemas.axes_description import Axes
+from schemas.chain_description import Chain
 from schemas.errors import DataError, NoWindowError, UnansweredError
 from schemas.trace import Trace
 from service.identification.noise import white_noise
 from service.machines import machine_of
-from service.machines.forward import run
+from service.machines.forward_runs import run
 from service.machines.machine import MachineModel
 from service.model.description import hypothesis_of
 from service.model.hypothesis import Hypothesis
@@ -26,7 +26,7 @@ from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, one_period, segments_of, thin
 from service.model.torque import predict, unreported
 from service.rollout.gap import DRAWS, LONGEST, PLAIN, SEED, SHORTEST, rms
-from service.rollout.robot import true_torque
+from service.rollout.packed import true_torque
 
 FLOOR = "floor"
 STILL = "stands still"

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.kernels import kernel
-from service.estimator.effects import EFFECT, MAX_EFFECTS, effects_kernel
+from service.estimator.named_effects import EFFECT, MAX_EFFECTS, effects_kernel
 from service.model.dynamics import TERMS
 from service.model.effects.base import Instant
 from service.model.effects.presliding_friction import slide_kernel

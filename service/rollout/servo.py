@@ -20,7 +20,7 @@ from schemas.trace import Trace
 from schemas.words import percent
 from service.model.signals import Band, Segment
 from service.rollout.kernel import DriveGains
-from service.rollout.robot import SeenStretch
+from service.rollout.packed import SeenStretch
 
 MOST_LEFT = 0.3  # of the torque's rms that a drive's law may leave to be believed
 

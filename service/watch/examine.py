@@ -12,19 +12,19 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace import write_trace
-from schemas.axes import Description, load_description
+from schemas.axes_description import Description, load_description
 from schemas.diagnosis import NamedEffect, named_joints
 from schemas.files import make_folder, write_text
+from schemas.finding import WatchFinding
 from schemas.trace import Trace
-from schemas.watch import WatchFinding
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected, document
+from service.diagnosis.pipeline import diagnose
 from service.identification.fit import evaluate
 from service.model.effects import catalogue
 from service.model.effects.base import Effect
-from service.watch.change import changes
+from service.watch.changed_effect import changes
 from service.watch.kept import flagged
-from service.watch.watch import Rise
+from service.watch.state_machine import Rise
 
 BEFORE_PARTS, AFTER_PARTS = 2, 3  # runs that each is taken for, one left out at a time
 WORDS = 2  # quantities of an effect that the line tells

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, grey_opening, maximum_filter1d, median_filter
 
 from drivers.trace.quality import RowNames, check
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.messages import NANOSECONDS, Gripper, SampleFlag, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace

@@ -14,10 +14,10 @@ import numpy as np
 
 from docs.making import figures
 from drivers.trace import read_trace
-from schemas.axes import load_description
-from schemas.chain import Chain
-from service.identification.axes import identify_axes
-from service.identification.load import load_on
+from schemas.axes_description import load_description
+from schemas.chain_description import Chain
+from service.identification.joint_machines import identify_axes
+from service.identification.log_load import load_on
 from tests.service.arms import FOUR, SEVEN, SIX, Kind, Load
 
 CERTAIN = 1.96  # standard errors, of 95 %

@@ -19,11 +19,11 @@ import numpy as np
 from docs.making import figures
 from drivers.bus import open_bus
 from drivers.trace import read_trace
-from schemas.axes import load_description, save_description
-from schemas.chain import Chain
+from schemas.axes_description import load_description, save_description
+from schemas.chain_description import Chain
 from schemas.messages import JOINT_SAMPLE, NANOSECONDS, OF_JOINTS, PayloadEvent, Role, set_stamp, stamp_ns
-from service.estimator.joints.estimator import JointEstimator
-from service.identification.axes import identify_axes
+from service.estimator.joints.joints_estimator import JointEstimator
+from service.identification.joint_machines import identify_axes
 from service.monitor.readback import read_recording
 from service.supervisor import Supervisor
 from tests.bench.bench_arm_load import CERTAIN, HEAVY_URDF, drawn

@@ -21,16 +21,16 @@ import numpy as np
 
 from deltatwin.mujoco import attach, model_of
 from docs.making.figures import store
-from drivers.plant.mechanism import CompiledMechanism, close, dependence
+from drivers.simulated.plant.mujoco_delta import CompiledMechanism, close, dependence
 from drivers.trace import read_trace
 from schemas.errors import DataError
 from schemas.robot import Robot, load_robot
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected
+from service.diagnosis.pipeline import diagnose
 from service.model import kinematics
 from service.model.effects import CATALOGUE
 from service.rollout.gap import HORIZON, Windows, cut_up, simulate
-from service.rollout.robot import SeenStretch, stretch
+from service.rollout.packed import SeenStretch, stretch
 
 BOUND = 1.2
 NOTHING = 0.02  # kg, that a window may carry

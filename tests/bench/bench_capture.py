@@ -62,7 +62,7 @@ def datagrams(path: Path, robot: Path) -> int:
 
 def samples(path: Path, robot: Path) -> int:
     """Joint samples."""
-    from drivers.trace.capture import CaptureReader
+    from drivers.trace.capture_trace import CaptureReader
     from schemas.robot import load_robot
 
     reader = CaptureReader(path, load_robot(robot))
@@ -73,7 +73,7 @@ def samples(path: Path, robot: Path) -> int:
 
 def convert(path: Path, robot: Path) -> int:
     """Joint samples into an MCAP file; each sample stands for its two frames."""
-    from drivers.trace.capture import convert_capture
+    from drivers.trace.capture_trace import convert_capture
     from schemas.robot import load_robot
 
     with tempfile.TemporaryDirectory() as folder:

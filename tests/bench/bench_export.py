@@ -46,7 +46,7 @@ from tests.service.codegen.test_fmu import in_fmpy, recorded
 from tests.service.codegen.test_hostile import FOURTH_AXIS, streams, turned
 from tests.service.codegen.test_memory import AXES, PERIODS, ROBOTS, bytes_of, laden
 from tests.service.codegen.test_twin import GROUPS, stored, with_effects
-from tests.service.estimator.test_effects import FOUND, effect
+from tests.service.estimator.test_named_effects import FOUND, effect
 
 PERIOD = 1e-3
 BLOCK, TURNS = 1000, 40  # steps of the one, then of the other

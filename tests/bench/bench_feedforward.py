@@ -16,11 +16,11 @@ from joblib import Parallel, delayed
 
 from docs.making.figures import store
 from drivers.motion import Planner
-from drivers.plant.cases import PERIOD
-from drivers.plant.simulate import simulate
+from drivers.simulated.plant.cases import PERIOD
+from drivers.simulated.plant.plant_trace import simulate
 from schemas.errors import DataError
-from service.diagnosis.diagnose import diagnose
-from service.diagnosis.documents.online import online_trial
+from service.diagnosis.documents.worth import online_trial
+from service.diagnosis.pipeline import diagnose
 from tests.bench.bench_payload import SPEED, Machine
 from tests.bench.payload_draws import CARRIED, NAMED, fit_logs, scenario_of
 

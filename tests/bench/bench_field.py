@@ -39,7 +39,7 @@ from schemas.errors import DeltatwinError, TraceError
 from schemas.robot import Robot
 from schemas.toml import validate
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
+from service.identification.joint_machines import identify_axes
 from service.identification.proposal import Proposal, propose
 from service.identification.readings import Stated
 from tests.bench.field_files import (

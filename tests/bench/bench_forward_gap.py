@@ -16,9 +16,9 @@ import numpy as np
 from docs.making.figures import store
 from drivers.trace import read_trace
 from schemas.robot import load_robot
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
 from service.diagnosis.evidence.unseen import unseen
+from service.diagnosis.pipeline import diagnose
 from service.model.effects import CATALOGUE
 
 BOUND, FLOOR_BOUND, NULL_BOUND = 0.5, 1.5, 0.05

@@ -17,8 +17,8 @@ import numpy as np
 from drivers.trace import read_trace, write_trace
 from schemas.robot import Geometry, Mass, Robot, load_robot
 from schemas.trace import Trace
-from service.identification import paper
-from service.identification.identify import identify
+from service.identification import paper_method
+from service.identification.from_traces import identify
 from service.identification.regression import NormalEquations, summarise
 from service.model import signals
 from service.model.nominal import pack
@@ -77,8 +77,10 @@ def linearity() -> None:
 def methods() -> None:
     equations = [summarise(MODEL, synthesise(MODEL, s, Truth(), multisine(s, 8.0, 2.0, 1e-3), 1e-3)) for s in range(4)]
     fit = identify(ROBOT, equations)
-    ratios = [timed(lambda: paper.means(equations)) / timed(lambda: identify(ROBOT, equations)) for _ in range(21)]
-    once = timed(lambda: paper.refit(equations, fit.fit))
+    ratios = [
+        timed(lambda: paper_method.means(equations)) / timed(lambda: identify(ROBOT, equations)) for _ in range(21)
+    ]
+    once = timed(lambda: paper_method.refit(equations, fit.fit))
     print(
         f"grid and friction over the pooled fit's time, sums alike: {np.median(ratios):.2f}; {1e3 * once:.1f} ms in all"
     )

@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 
 from docs.making.figures import store
-from drivers.ethercat.master import Master, OffsetRamp, PositionRamp, follow
 from drivers.ethercat.setpoints import SetpointPlan
+from drivers.ethercat.soem_master import Master, OffsetRamp, PositionRamp, follow
 from drivers.motion import Planner
 from replay.clock import wait_until
 from replay.realtime import go_realtime
 from service.estimator.estimator import Estimator
-from service.feedforward import InCycle, nothing
+from service.feedforward_source import InCycle, nothing
 from tests.drivers.ethercat import rig
 
 TURNS = ("without", "with")

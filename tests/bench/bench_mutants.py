@@ -52,7 +52,7 @@ TESTS = {
     "watch": ["tests/service/watch"],
 }
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
-PAGES = ("blindpage.py", "report.py")  # pictures and prose, looked at in tests/service/pages
+PAGES = ("sealed_page.py", "report.py")  # pictures and prose, looked at in tests/service/pages
 LEAST_TIME, TIMES = 200.0, 4.0  # s of CPU, kernels compiled anew included, and times what the tests take as they are
 WAIT = 600.0  # s by the clock that a test of a mutant may take at least, beside TIMES what it takes as it is
 QUICK = 1.0  # s, fixtures included: a test that is put before all others, whatever file it is in

@@ -23,17 +23,17 @@ from joblib import Parallel, delayed
 
 from docs.making.figures import store
 from drivers.motion import Payload, Planner, Trajectory
-from drivers.plant.cases import PERIOD, random_case
-from drivers.plant.effects import EFFECTS, PlantEffect
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import simulate
-from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
+from drivers.simulated.plant.cases import PERIOD, random_case
+from drivers.simulated.plant.effects import EFFECTS, PlantEffect
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import simulate
+from drivers.simulated.plant.truth import PlantTruth, load_truth, shipped_truth
 from schemas.errors import DataError
 from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
-from service.identification.identify import identify
-from service.identification.payload import Pick, Weighed, weighed
+from service.identification.from_traces import identify
 from service.identification.regression import summarise
+from service.identification.weighed_picks import Pick, Weighed, weighed
 from service.model.nominal import pack
 
 MASSES = (0.3, 0.5, 1.0, 2.0, 3.0, 3.8)  # kg

@@ -20,16 +20,16 @@ from typer.testing import CliRunner
 from docs.making.figures import store
 from drivers.motion import Planner
 from drivers.motion_file import read_motion
-from drivers.plant.cases import PAUSE, PERIOD, random_case
-from drivers.plant.effects import CATALOGUE, EFFECTS
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import simulate
+from drivers.simulated.plant.cases import PAUSE, PERIOD, random_case
+from drivers.simulated.plant.effects import CATALOGUE, EFFECTS
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import simulate
 from schemas.errors import DataError, DeltatwinError
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected, document
+from service.diagnosis.pipeline import diagnose
 from service.model.effects import CATALOGUE as KNOWN
 
 BOUND = 0.9

@@ -23,10 +23,10 @@ from scipy.signal import butter, sosfiltfilt
 
 from docs.making import figures
 from drivers.trace import read_trace
-from schemas.axes import Axes, load_axes
-from schemas.chain import Chain
+from schemas.axes_description import Axes, load_axes
+from schemas.chain_description import Chain
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
+from service.identification.joint_machines import identify_axes
 from service.model.arm import pinocchio
 from service.model.prediction import FULL, error_in_band, motion, predict_along
 from tests.service.diagnosis.test_real_machines import PWM, tx40_columns

@@ -13,7 +13,7 @@ import numpy as np
 from docs.making.figures import store
 from schemas.robot import EffectParameter, Robot
 from service.rollout.gap import simulate
-from service.rollout.robot import stretch
+from service.rollout.packed import stretch
 from tests.service.rollout.test_kernel import INJECTED, effect, identified, recorded
 
 PERIOD = 0.25e-3  # s

@@ -25,7 +25,7 @@ import numpy as np
 
 from docs.making.figures import store
 from drivers.bus import open_bus
-from drivers.ethercat.tap import FRAME_BYTES, InterfaceSource, Tap
+from drivers.ethercat.live_tap import FRAME_BYTES, InterfaceSource, Tap
 from drivers.health import Health
 from replay.clock import wait_until
 from replay.realtime import go_realtime

@@ -2,9 +2,10 @@
 
 uv run python -m tests.bench.bench_watch --seeds 1 2 3 --minutes 60
 
-Robots are those of `drivers.plant.cases`, identified from its logs without an effect; the motion is pick-and-place with
-masses, of which the bus has the gripper or, with --no-gripper, the estimator alone tells. A watch as `deltatwin watch`
-makes it learns for 30 s of free motion (18 s without a gripper, where less of it is free), at 60 s the effect comes on.
+Robots are those of `drivers.simulated.plant.cases`, identified from its logs without an effect; the motion is
+pick-and-place with masses, of which the bus has the gripper or, with --no-gripper, the estimator alone tells. A watch
+as `deltatwin watch` makes it learns for 30 s of free motion (18 s without a gripper, where less of it is free), at 60 s
+the effect comes on.
 Time to the name: from the change to the moment the diagnosis starts, in samples, and the processor's time of the
 process that makes it and stores what it found. The unchanged hour is five motions of two minutes, each six times with
 torque noise of its own.
@@ -25,20 +26,20 @@ import numpy as np
 
 from docs.making.figures import store
 from drivers.motion import MotionLimits, Planner, Trajectory
-from drivers.plant.cases import PERIOD, Case, random_case, run_case
-from drivers.plant.effects import EFFECTS
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import Course
+from drivers.simulated.plant.cases import PERIOD, Case, random_case, run_case
+from drivers.simulated.plant.effects import EFFECTS
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import Course
 from replay.process import process
 from schemas.messages import Gripper, WatchState
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
-from service.identification.identify import identify
+from service.identification.from_traces import identify
 from service.identification.regression import summarise
 from service.model.nominal import pack
-from service.watch import node
-from service.watch.node import Examination
-from service.watch.watch import Patience, Rise, Watch
+from service.watch import watch_node
+from service.watch.state_machine import Patience, Rise, Watch
+from service.watch.watch_node import Examination
 
 TEN = (
     "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "tool_mass", "arm_mass", "joint_spring",
@@ -197,7 +198,7 @@ def main() -> None:
     parser.add_argument("--store", action="store_true", help="put the figures into results/watch.json")
     given = parser.parse_args()
     kept: dict[str, tuple[int, int, str | None]] = {}
-    node.NICENESS = 0  # beside other work it would not have its turn; what counts is the processor's time
+    watch_node.NICENESS = 0  # beside other work it would not have its turn; what counts is the processor's time
     hits = [hit for seed in given.seeds if given.effects for hit in changed(given.effects, seed, given.gripper)]
     if hits:
         print(f"named right within {WITHIN:g} s: {sum(hits)} of {len(hits)} (bound 90 %)")

@@ -23,10 +23,10 @@ import scipy.io
 from mcap.writer import Writer
 
 from drivers.motion import Planner
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import simulate
-from drivers.plant.truth import PlantTruth
-from schemas.axes import Axes, Description, load_description
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import simulate
+from drivers.simulated.plant.truth import PlantTruth
+from schemas.axes_description import Axes, Description, load_description
 from schemas.columns import FILETIME_S
 from schemas.robot import load_robot
 from tests.service import arm

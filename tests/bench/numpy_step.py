@@ -11,13 +11,13 @@ import numpy as np
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, SAMPLE
 from schemas.robot import Robot
 from service.estimator.kalman import MotionFilter, design
-from service.estimator.payload import state as p
-from service.estimator.payload.step import payload_kernel
+from service.estimator.payload import payload_state as p
+from service.estimator.payload.payload_step import payload_kernel
 from service.estimator.state import settings
 from service.estimator.step import CREEPING_SPEED, MODEL_SHARE, REVERSAL_SPEED
 from service.estimator.stream import SETTLE_TIME
+from service.model.coulomb_viscous import SOFT
 from service.model.dynamics import REST_SPEED
-from service.model.friction import SOFT
 from service.model.nominal import pack
 
 

@@ -23,20 +23,20 @@ import numpy as np
 
 from docs.making.figures import store
 from drivers.motion import Planner
-from drivers.plant.cases import PERIOD
-from drivers.plant.effects import EFFECTS
-from drivers.plant.effects.sensing import TorqueFilter
-from drivers.plant.simulate import simulate
+from drivers.simulated.plant.cases import PERIOD
+from drivers.simulated.plant.effects import EFFECTS
+from drivers.simulated.plant.effects.sensing import TorqueFilter
+from drivers.simulated.plant.plant_trace import simulate
 from drivers.trace import read_trace
-from schemas.axes import load_description, save_description
+from schemas.axes_description import load_description, save_description
 from schemas.errors import DataError
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected
-from service.identification.identify import identify
-from service.identification.payload import Pick
+from service.diagnosis.pipeline import diagnose
+from service.identification.from_traces import identify
 from service.identification.regression import summarise
+from service.identification.weighed_picks import Pick
 from service.model.effects import CATALOGUE
 from service.model.nominal import pack
 from tests.bench.bench_payload import MASSES, SCENARIOS, SPEED, Fault, Machine, Scenario, judge, stack

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import deltatwin as dt
 import deltatwin.functions
-import deltatwin.trace
+import deltatwin.public_trace
 from drivers.data_frames import pl
 from replay.demo import LOG, ROBOT
 from schemas.messages import SampleFlag
@@ -64,7 +64,7 @@ def test_what_is_promised_is_there_and_no_more() -> None:
         dt.identfy  # type: ignore[attr-defined]  # noqa: B018
 
 
-@pytest.mark.parametrize("module", [deltatwin.functions, deltatwin.trace])
+@pytest.mark.parametrize("module", [deltatwin.functions, deltatwin.public_trace])
 def test_the_examples_run_as_they_stand(module: object) -> None:
     failed, tried = doctest.testmod(module)  # type: ignore[arg-type]
     assert tried > 3

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from deltatwin.mujoco import attach, model_of
-from schemas.axes import load_axes
+from schemas.axes_description import load_axes
 from schemas.errors import DataError, UnansweredError
-from service.rollout.export import to_mjcf
+from service.rollout.simulator_files import to_mjcf
 from tests.service.rollout.test_kernel import effect, identified
 
 STEPS = 400

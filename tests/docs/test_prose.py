@@ -12,7 +12,7 @@ from docs.making import figures
 from docs.making.pages import FILES
 from schemas.messages import TOPICS
 from service.cli.main import summaries
-from service.diagnosis.blindpage import BOUNDS
+from service.diagnosis.sealed_page import BOUNDS
 from service.model.effects import NAMES
 from tests.conftest import REPOSITORY
 

@@ -30,24 +30,24 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from drivers.ethercat.eni import read_eni
-from drivers.ethercat.process_data.layout import make_layout
-from drivers.plant.truth import load_truth
+from drivers.ethercat.process_data.object_layout import make_layout
+from drivers.simulated.plant.truth import load_truth
 from drivers.trace import read_trace
 from drivers.trace.capture_survey import survey_capture
 from drivers.trace.survey import survey
 from drivers.trace.tables import read_table
-from schemas.axes import load_description
+from schemas.axes_description import load_description
 from schemas.columns import Columns, load_columns
 from schemas.errors import DeltatwinError
-from schemas.keys import topic_key
 from schemas.messages import TOPICS
 from schemas.robot import load_robot, save_robot
 from schemas.toml import validate
-from service.identification.payload import read_truth
+from schemas.zenoh_keys import topic_key
 from service.identification.proposal import propose
 from service.identification.readings import Stated
+from service.identification.weighed_picks import read_truth
 from service.monitor.readback import read_recording
-from service.monitor.recover import recover
+from service.monitor.repair import recover
 from tests.drivers.ethercat import wire
 from tests.drivers.ethercat.test_eni import ENI, with_eni
 from tests.drivers.trace.headers import codesys_trace, kuka_header
@@ -138,7 +138,7 @@ def _captures(folder: Path) -> tuple[list[bytes], list[bytes]]:
 def _toml() -> list[bytes]:
     here = Path(__file__).parents[2]
     files = [
-        *sorted(here.glob("schemas/robots/*.toml")), *sorted(here.glob("drivers/plant/truths/*.toml")),
+        *sorted(here.glob("schemas/robots/*.toml")), *sorted(here.glob("drivers/simulated/plant/truths/*.toml")),
         *sorted(here.glob("drivers/trace/mappings/*.toml")), *sorted(here.glob("tests/drivers/ethercat/robots/*.toml")),
         here / "replay/demo/robot.toml",
     ]  # fmt: skip

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 
 from drivers.motion import Planner, peak_torque
-from drivers.plant.mechanism import Design, build, required_torque
-from drivers.plant.truth import PlantTruth
+from drivers.simulated.plant.mujoco_delta import Design, build, required_torque
+from drivers.simulated.plant.truth import PlantTruth
 from schemas.robot import load_robot
 
 
@@ -35,14 +35,14 @@ try:
     main()
 except SystemExit as end:
     assert end.code == {code}, end.code
-import drivers.ethercat.setpoints, drivers.ethercat.master, replay.realtime, service.cli.progress
+import drivers.ethercat.setpoints, drivers.ethercat.soem_master, replay.realtime, service.cli.progress
 from drivers.motion import Planner
 from schemas.robot import load_robot
 from service.estimator.estimator import Estimator
 robot = load_robot("d3-1200")
 Planner(robot, 4e-3).pick_and_place(np.random.default_rng(0), 3.0, masses=(1.0,), speed=0.5)
 Estimator(robot, 4e-3)
-assert "mujoco" not in sys.modules and not any(name.startswith("drivers.plant") for name in sys.modules)
+assert "mujoco" not in sys.modules and not any(name.startswith("drivers.simulated.plant") for name in sys.modules)
 """
 
 

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drivers import bus as bus_module
 from drivers.bus import Publisher, open_bus
-from drivers.security.keys import make_keys, parse_hosts
+from drivers.security.certificates import make_keys, parse_hosts
 from schemas.errors import BusError
 from schemas.messages import FEEDFORWARD, REFERENCE, SAMPLE, Role, set_stamp
 

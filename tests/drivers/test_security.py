@@ -18,12 +18,12 @@ import zenoh
 
 from drivers.bus import Bus, open_bus
 from drivers.inbox import Inbox
+from drivers.security.certificates import Host, make_keys, parse_hosts
 from drivers.security.check import check
-from drivers.security.keys import Host, make_keys, parse_hosts
 from drivers.security.rights import SOURCES, readers, writers
 from schemas.errors import BusError, StorageError
-from schemas.keys import topic_key
 from schemas.messages import SAMPLE, TOPICS, Role
+from schemas.zenoh_keys import topic_key
 from tests.conftest import REPOSITORY
 
 QUIET = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}

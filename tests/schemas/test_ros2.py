@@ -14,7 +14,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 import schemas
-from schemas.keys import topic_name
 from schemas.messages import (
     TOPICS,
     FeedforwardSource,
@@ -31,6 +30,7 @@ from schemas.messages import (
     set_stamp,
 )
 from schemas.ros2 import type_hash
+from schemas.zenoh_keys import topic_name
 
 FOLDER = Path(schemas.__file__).parent
 

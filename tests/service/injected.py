@@ -13,10 +13,10 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from drivers.plant import effects as plant
-from drivers.plant.effects import friction, mechanics, sensing
-from drivers.plant.mechanism import Design, build, close, dependence
-from drivers.plant.plant import Friction
+from drivers.simulated.plant import effects as plant
+from drivers.simulated.plant.effects import friction, mechanics, sensing
+from drivers.simulated.plant.mujoco_delta import Design, build, close, dependence
+from drivers.simulated.plant.plant import Friction
 from tests.service.subject import EFFECTS, Term
 from tests.service.world import (
     COULOMB,

@@ -1,6 +1,6 @@
 """What these tests are about, imported in one place: where it lives is said here and nowhere else."""
 
-from service.diagnosis import diagnose
+from service.diagnosis import pipeline as diagnose
 from service.diagnosis.documents import document
 from service.diagnosis.evidence import cautions, statistics, where
 from service.diagnosis.evidence import rivals as evidence

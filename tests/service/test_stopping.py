@@ -205,7 +205,7 @@ def test_a_clock_before_1970_is_an_error(bus_folder: Path, monkeypatch: pytest.M
 def test_the_listener_of_a_segment_ends_with_it(
     monkeypatch: pytest.MonkeyPatch, until: Callable[[Callable[[], bool]], None]
 ) -> None:
-    from drivers.segment.wire import Switches
+    from drivers.simulated.segment.wire import Switches
 
     heard, told = os.pipe()
     switches, before = Switches(), set(threading.enumerate())

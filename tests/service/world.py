@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.plant.mechanism import Design, build, dependence, required_torque
-from drivers.plant.truth import PlantTruth
+from drivers.simulated.plant.mujoco_delta import Design, build, dependence, required_torque
+from drivers.simulated.plant.truth import PlantTruth
 from schemas.robot import Drive, Geometry, Mass, Robot
 from tests.service.subject import Band, Base, Delta, Problem, Recording, Scene, Segment
 

@@ -11,8 +11,9 @@ from drivers.ethercat import cia402
 from drivers.ethercat.capture import FrameFlag, Frames
 from drivers.ethercat.cia402 import DriveState, Mode
 from drivers.ethercat.frames import DC_SYSTEM_TIME, Command, Kind, find_datagrams, u16, u32
-from drivers.ethercat.process_data.clock import distributed_clock_kernel, interval_kernel, stamp_kernel
-from drivers.ethercat.process_data.layout import (
+from drivers.ethercat.process_data.cycle_clock import distributed_clock_kernel, interval_kernel, stamp_kernel
+from drivers.ethercat.process_data.frame_state import DISTRIBUTED_CLOCK, NEVER, STATE, new_state
+from drivers.ethercat.process_data.object_layout import (
     DIGITAL_INPUTS,
     INPUT_SHAPE,
     LAYOUT,
@@ -27,7 +28,6 @@ from drivers.ethercat.process_data.layout import (
     TORQUE_OFFSET,
 )  # fmt: skip
 from drivers.ethercat.process_data.passes import came_again, expected_kernel, is_returned, note_sent, on_its_way
-from drivers.ethercat.process_data.state import DISTRIBUTED_CLOCK, NEVER, STATE, new_state
 from schemas.kernels import kernel
 from schemas.messages import NANOSECONDS, SAMPLE, Gripper, SampleFlag
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.ethercat.process_data.state import NEVER
+from drivers.ethercat.process_data.frame_state import NEVER
 from schemas.kernels import kernel
 
 _PORT_AFTER = 16  # answered frames before a port is taken for the returning one

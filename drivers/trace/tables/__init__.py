@@ -80,7 +80,7 @@ def read_table(path: Path, layout: Mapping[str, Any] | None = None) -> Table:
     if ending in READERS:
         read: Callable[[Path], Table] = import_module(f"{__name__}.{READERS[ending]}").read
         return read(path)
-    from drivers.trace.tables.text import read
+    from drivers.trace.tables.text_table import read
 
     return read(path, {key: value for key, value in (layout or {}).items() if key != "topic"} or None)
 

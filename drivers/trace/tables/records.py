@@ -11,7 +11,7 @@ import numpy as np
 from drivers.data_frames import pl
 from drivers.trace.tables import Table
 from drivers.trace.tables.numpy_file import same_length
-from drivers.trace.tables.text import numbers_of
+from drivers.trace.tables.text_table import numbers_of
 from schemas.columns import MAX_COLUMNS
 from schemas.errors import TraceError
 from schemas.files import MIB, read_bytes

@@ -1,9 +1,9 @@
 """Discrepancies: torques that no effect of the catalogue adds. One file and one line here each."""
 
-from service.diagnosis.discrepancies.base import Discrepancy
 from service.diagnosis.discrepancies.by_angle import ByAngle
 from service.diagnosis.discrepancies.by_load import ByLoad
 from service.diagnosis.discrepancies.by_speed import BySpeed
+from service.diagnosis.discrepancies.discrepancy import Discrepancy
 from service.diagnosis.discrepancies.dragged_cable import DraggedCable
 from service.diagnosis.discrepancies.drifting_scale import DriftingScale
 from service.diagnosis.discrepancies.friction_by_angle import FrictionByAngle

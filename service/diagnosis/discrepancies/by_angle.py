@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, features
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, features
 
 WIDTH = 0.05  # of the range of an angle or a speed, over which a torque varies
 

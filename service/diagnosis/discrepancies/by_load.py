@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, features
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, features
 
 WIDTH = 0.1  # of the range of the torque, over which what is added varies
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, alike
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, alike
 from service.model.signals import recursion
 
 WAYS = (0.01, 0.04, 0.15)  # m, over which the force turns over

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, features
 from service.diagnosis.discrepancies.by_angle import WIDTH
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, features
 
 
 class FrictionByAngle(Discrepancy):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, alike
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, alike
 from service.model.signals import recursion
 
 NATURAL_HZ = tuple(np.geomspace(1.5, 16.0, 12).tolist())  # of springs that may be there, each near the next

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, alike
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, alike
 
 
 class OtherJoints(Discrepancy):

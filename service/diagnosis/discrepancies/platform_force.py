@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, features
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, features
 
 PARTS = 8  # in which columns are filtered: all at once take several times the memory of what is kept
 WIDTH = 0.15  # of the platform's range, over which a force varies

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, alike
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen, alike
 
 PITCHES = (0.025, 0.12)  # m: less is outside the band at usual speeds, more is smooth, as what depends on the position
 OVERSAMPLED = 2.0  # grid points over the width of a line

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.diagnosis import (
     Diagnosis,
     Estimate,
@@ -34,7 +34,7 @@ from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where
 from service.diagnosis.findings import Findings
 from service.diagnosis.fit.selection import added
-from service.estimator.effects import form_of
+from service.estimator.named_effects import form_of
 from service.identification.folds import block_loss
 from service.identification.frequency import responses, spectra_of
 from service.model.description import base_errors, described, digits, entry, in_units_of

@@ -14,7 +14,7 @@ from schemas.trace import Trace
 from service.identification.fit import Problem, solve
 from service.identification.folds import Split
 from service.identification.loops import position_error
-from service.model.friction import mean_direction
+from service.model.coulomb_viscous import mean_direction
 
 What = Literal["motion", "sine_of_angle", "position_error"]
 LEAST_SHARE = 0.05  # of the energy above the noise that is worth telling

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from schemas.axes import Description
+from schemas.axes_description import Description
 from schemas.diagnosis import Extreme, Located
 from service.diagnosis.evidence.opened import LEAST_SHARE, Beside, Pool, Tried, above
 from service.diagnosis.evidence.statistics import Z95

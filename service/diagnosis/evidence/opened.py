@@ -16,7 +16,7 @@ import numpy as np
 
 from schemas.diagnosis import Caution
 from service.diagnosis.discrepancies import DISCREPANCIES
-from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen
+from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen
 from service.diagnosis.fit.selection import LEAST_Z, Scored, z_score
 from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Problem, solve

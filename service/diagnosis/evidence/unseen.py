@@ -65,9 +65,9 @@ def unseen(findings: Findings, trace: Trace) -> Unseen:
 
 def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
     """The models before and after in the simulator, under the trace's torque."""
-    from service.rollout.document import reached
     from service.rollout.gap import cut_up, rollout
-    from service.rollout.robot import left_out
+    from service.rollout.packed import left_out
+    from service.rollout.rollout_page import reached
 
     robot = findings.robot
     if not isinstance(robot, Robot):

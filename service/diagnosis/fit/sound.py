@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from service.identification.fit import Problem
-from service.model.friction import direction
+from service.model.coulomb_viscous import direction
 from service.model.hypothesis import Hypothesis, Term
 
 ALIKE = 0.8  # of the variance of one curve that another has, from which they may be one

@@ -12,7 +12,7 @@ import numpy as np
 from schemas.kernels import kernel
 from service.estimator import departure
 from service.estimator.payload.loads import bin_drag, corrected_moment, invert, pair, prior_of, swing_drag, weaken_drag
-from service.estimator.payload.state import LOADS, PRIOR_STD, SMALLEST_CHANGE, WINDOW
+from service.estimator.payload.payload_state import LOADS, PRIOR_STD, SMALLEST_CHANGE, WINDOW
 
 # Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
 # errors that are not white, 5 sigma would alarm every minute.

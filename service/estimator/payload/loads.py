@@ -6,7 +6,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.estimator import departure
-from service.estimator.payload.state import FINEST, LOADS, OFFSET_STD, PRIOR_STD
+from service.estimator.payload.payload_state import FINEST, LOADS, OFFSET_STD, PRIOR_STD
 
 
 @kernel

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from schemas.kernels import kernel, part
 from service.estimator import departure
-from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, MEAN_PATH, RESIDUAL, WEIGHT
+from service.estimator.payload.payload_state import BLOCKS, COLOUR, COLUMN, LOADS, MEAN_PATH, RESIDUAL, WEIGHT
 
 # The newest few blocks, which may already speak for more scatter than the average does.
 NEWEST, NEWEST_SHARE = 4, 0.6

@@ -10,8 +10,8 @@ from schemas.kernels import kernel, part
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator import departure
 from service.estimator.payload.loads import begin_whole, locate, prior_of, weigh_whole
+from service.estimator.payload.payload_state import COLOUR, LEAST_TIME, SMALLEST_CHANGE, WINDOW
 from service.estimator.payload.scatter import LEAST_INFLATION
-from service.estimator.payload.state import COLOUR, LEAST_TIME, SMALLEST_CHANGE, WINDOW
 
 # So soon after an event a smaller part of the load than this is the estimate settling, not the next event.
 REFINING_TIME, REFINING_SHARE = 0.15, 0.5  # s, -

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
+from service.model.coulomb_viscous import SOFT
 from service.model.effects.base import Amplitude, WholeDelta
-from service.model.friction import SOFT
 from service.model.scene import Scene
 
 

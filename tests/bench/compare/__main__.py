@@ -26,9 +26,9 @@ import numpy as np
 
 from docs.making import figures
 from drivers.trace import read_trace
-from schemas.axes import Axes, load_axes
+from schemas.axes_description import Axes, load_axes
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
+from service.identification.joint_machines import identify_axes
 from service.model.prediction import FULL, error_in_band, motion, predict_along
 from tests.bench.bench_real import DATA, SETS, LeastSquares, Set, folds
 from tests.bench.compare.rollout_tuner import STEP, tuned, windows

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.trace.capture import CaptureReader, read_capture
 from drivers.trace.capture_survey import survey_capture
+from drivers.trace.capture_trace import CaptureReader, read_capture
 from schemas.errors import TraceError
 from schemas.messages import SampleFlag
 from tests.drivers.ethercat.test_process_data import LOCAL, START, stream

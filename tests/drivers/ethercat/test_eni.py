@@ -10,7 +10,7 @@ import pytest
 from drivers.ethercat.capture import Capture
 from drivers.ethercat.pdo import joint_pdos
 from drivers.ethercat.process_data.assembly import Assembler
-from drivers.ethercat.process_data.layout import make_layout
+from drivers.ethercat.process_data.object_layout import make_layout
 from schemas.errors import RobotError
 from schemas.messages import SampleFlag
 from schemas.robot import Robot

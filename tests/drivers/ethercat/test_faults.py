@@ -40,7 +40,7 @@ NO_ANSWER = "no drive answers; check cable and power"  # how a master ends whose
 MID_NEAR, MID_FAR = "mid0", "mid1"
 
 MODULES = ["service.cli.master", "service.cli.tap", "service.cli.estimate", "service.cli.segment", "pysoem", "mujoco",
-           "zenoh", "numba", "scipy.signal", "service.feedforward", "drivers.plant.motion"]  # fmt: skip
+           "zenoh", "numba", "scipy.signal", "service.feedforward_source", "drivers.motion"]  # fmt: skip
 
 
 def _inside(name: str, runtime: str, log: str, arguments: list[str]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from drivers.ethercat.capture import Capture, Frames
 from drivers.ethercat.frames import Command, DatagramFlag, Kind, decode
 from drivers.ethercat.process_data.assembly import Assembler
-from drivers.ethercat.process_data.layout import make_layout
+from drivers.ethercat.process_data.object_layout import make_layout
 from drivers.trace.capture_survey import Survey
 from schemas.errors import TraceError
 from schemas.robot import load_robot

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from drivers.ethercat.cia402 import scales
-from drivers.ethercat.master import Master
 from drivers.ethercat.pdo import Pdo, joint_pdos
-from drivers.plant.plant import Plant
-from drivers.plant.truth import PlantTruth
-from drivers.segment.esc import SlaveController
-from drivers.segment.sii import build_sii
-from drivers.segment.wire import EthercatSegment, serve
+from drivers.ethercat.soem_master import Master
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.truth import PlantTruth
+from drivers.simulated.segment.esc import SlaveController
+from drivers.simulated.segment.sii import build_sii
+from drivers.simulated.segment.wire import EthercatSegment, serve
 from replay.clock import wait_until
 from replay.realtime import go_realtime
 from schemas.errors import BusError, RobotError

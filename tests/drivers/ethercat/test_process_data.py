@@ -13,7 +13,7 @@ import pytest
 
 from drivers.ethercat.capture import Capture
 from drivers.ethercat.process_data.assembly import Assembler
-from drivers.ethercat.process_data.layout import make_layout
+from drivers.ethercat.process_data.object_layout import make_layout
 from schemas.errors import RobotError
 from schemas.messages import SampleFlag, stamp_ns
 from schemas.robot import Robot, load_robot

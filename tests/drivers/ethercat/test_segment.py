@@ -16,11 +16,11 @@ from drivers.ethercat.cia402 import Control, DriveState, Mode, drive_state
 from drivers.ethercat.frames import AL_CONTROL, AL_STATUS, DC_SYSTEM_TIME, FMMU, AlState, Command
 from drivers.ethercat.pdo import GRIPPER, Pdo, joint_pdos
 from drivers.ethercat.process_data.assembly import Assembler
-from drivers.ethercat.process_data.layout import make_layout
-from drivers.plant.plant import Plant
-from drivers.segment.esc import AL_STATUS_CODE, DL_STATUS, STATION_ADDRESS, SYNC_MANAGER, Code
-from drivers.segment.sii import INPUT_ADDRESS, INPUT_CONTROL, OUTPUT_ADDRESS, OUTPUT_CONTROL
-from drivers.segment.wire import INPUT_DELAY_CYCLES, EthercatSegment
+from drivers.ethercat.process_data.object_layout import make_layout
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.segment.esc import AL_STATUS_CODE, DL_STATUS, STATION_ADDRESS, SYNC_MANAGER, Code
+from drivers.simulated.segment.sii import INPUT_ADDRESS, INPUT_CONTROL, OUTPUT_ADDRESS, OUTPUT_CONTROL
+from drivers.simulated.segment.wire import INPUT_DELAY_CYCLES, EthercatSegment
 from schemas.errors import RobotError
 from schemas.kernels import kernel
 from schemas.messages import Gripper, SampleFlag, stamp_ns
@@ -224,7 +224,7 @@ def test_the_state_machine_of_the_drive(bench: Bench) -> None:
 
 def test_nothing_is_compiled_while_a_frame_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh = kernel(cia402.joint_angle.py_func)
-    monkeypatch.setattr("drivers.segment.drive.joint_angle", fresh)
+    monkeypatch.setattr("drivers.simulated.segment.drive.joint_angle", fresh)
     bench = Bench(tmp_path)
     compiled = fresh.signatures
     bench.operate()
@@ -332,7 +332,7 @@ def test_the_watchdog_takes_the_drives_out_of_operation_and_the_brakes_hold(
 ) -> None:
     bench.operate()
     now = [time.monotonic_ns()]
-    monkeypatch.setattr("drivers.segment.wire.time", SimpleNamespace(monotonic_ns=lambda: now[0]))
+    monkeypatch.setattr("drivers.simulated.segment.wire.time", SimpleNamespace(monotonic_ns=lambda: now[0]))
     bench.cycle()
     now[0] += 50_000_000
     bench.segment.idle()

@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from drivers.bus import open_bus
 from drivers.ethercat.cia402 import scales
-from drivers.ethercat.tap import FileSource, Tap
+from drivers.ethercat.live_tap import FileSource, Tap
 from drivers.health import Health
 from drivers.trace import read_trace
-from drivers.trace.capture import convert_capture, read_capture
 from drivers.trace.capture_survey import survey_capture
+from drivers.trace.capture_trace import convert_capture, read_capture
 from replay.clock import wait_until
 from schemas.errors import TraceError
 from schemas.messages import HealthFlag, Role, SampleFlag

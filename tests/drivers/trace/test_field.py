@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from drivers.trace import read_trace
 from drivers.trace.tables import read_table
-from schemas.axes import Description, load_description
+from schemas.axes_description import Description, load_description
 from schemas.columns import load_columns
 from schemas.errors import DeltatwinError
 from service.cli.main import app

@@ -26,7 +26,7 @@ READER = """
 import resource, sys, time
 from pathlib import Path
 from drivers.trace import read_trace
-from schemas.axes import load_description
+from schemas.axes_description import load_description
 from schemas.errors import DeltatwinError
 from drivers.ethercat.eni import read_eni
 import drivers.trace.csv_file, drivers.trace.mcap_file

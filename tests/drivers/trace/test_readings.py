@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.trace import find_columns, read_trace
-from schemas.axes import Axes, load_axes
+from schemas.axes_description import Axes, load_axes
 from schemas.errors import TraceError
 from tests.service import arm
 

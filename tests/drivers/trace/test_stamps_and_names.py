@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.trace.quality import RowNames, check
-from schemas.axes import Axes, Axis
+from schemas.axes_description import Axes, Axis
 from schemas.trace import Trace
 
 MOTOR = Axes(name="motor", kind="axes", axis=[Axis()])

@@ -22,8 +22,8 @@ from tornado.websocket import websocket_connect
 
 from drivers.bus import open_bus
 from drivers.trace.tables import read_table
-from drivers.view.layout import layout
-from drivers.view.scene import ViewerScene, transforms
+from drivers.view.foxglove_layout import layout
+from drivers.view.viewer_scene import ViewerScene, transforms
 from schemas.errors import TraceError
 from schemas.messages import OF_DELTA, PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role, fields_of, set_stamp, topics_of
 from schemas.robot import load_robot

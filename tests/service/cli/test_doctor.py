@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from service.doctor import bundle, examine
+from service.checkup import bundle, examine
 
 PROGRAM = Path(sys.executable).with_name("deltatwin")
 

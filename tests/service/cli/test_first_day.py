@@ -17,7 +17,7 @@ from replay.demo import LOG, PAYLOADS, ROBOT
 from schemas.errors import BusError
 from schemas.trace import Trace
 from service.cli.main import app
-from service.diagnosis.blindpage import BOUNDS, missed
+from service.diagnosis.sealed_page import BOUNDS, missed
 
 # A system without POSIX modules, on which a file can be synced only if it may be written (Windows).
 ELSEWHERE = """

@@ -14,9 +14,9 @@ from mcap.writer import Writer
 from typer.testing import CliRunner
 
 from drivers.motion import Planner
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import simulate
-from drivers.plant.truth import PlantTruth
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import simulate
+from drivers.simulated.plant.truth import PlantTruth
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
 from schemas.columns import load_columns

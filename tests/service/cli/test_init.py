@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from schemas.axes import Axes, load_description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, load_description
+from schemas.chain_description import Chain
 from schemas.errors import DeltatwinError, RobotError, StorageError
 from schemas.robot import load_robot
 from service.cli.main import app
-from service.questions import DELTA, for_axes
+from service.interview import DELTA, for_axes
 
 PROGRAM = Path(sys.executable).with_name("deltatwin")
 ANSWERS = {

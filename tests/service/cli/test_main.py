@@ -56,7 +56,7 @@ def test_a_diagnosis_waits_for_no_import_that_it_can_do_without() -> None:
     code = f"""
 import sys
 import drivers.trace.csv_file
-from service.diagnosis.diagnose import diagnose
+from service.diagnosis.pipeline import diagnose
 from service.diagnosis.documents import document, report
 print([name for name in {SLOW} if name in sys.modules])
 """
@@ -69,7 +69,7 @@ def test_a_start_hardly_looks_for_rubbish() -> None:
     code = """
 import gc
 from service.cli import main
-main.app = lambda: __import__("service.diagnosis.diagnose")
+main.app = lambda: __import__("service.diagnosis.pipeline")
 before = gc.get_stats()[0]["collections"]
 main.main()
 print(gc.get_stats()[0]["collections"] - before)

@@ -13,7 +13,7 @@ from schemas.messages import FeedforwardSource
 from schemas.robot import load_robot, save_robot
 from service.codegen.library import Library
 from service.estimator.estimator import Estimator
-from service.feedforward import InCycle
+from service.feedforward_source import InCycle
 from tests.known import PERIOD, make, robot
 from tests.service.codegen.built import needs_compiler
 from tests.service.codegen.compiled import compiled

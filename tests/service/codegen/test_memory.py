@@ -19,11 +19,11 @@ from service.cli.main import app
 from service.codegen.layout import layout_of
 from service.codegen.twin import in_c
 from service.estimator import state
-from service.estimator.effects import MAX_EFFECTS, pack_effects
+from service.estimator.named_effects import MAX_EFFECTS, pack_effects
 from service.model.description import terms_of
 from tests.service.codegen.built import COMPILER, FLAGS, needs_compiler
 from tests.service.codegen.test_twin import with_effects
-from tests.service.estimator.test_effects import FOUND
+from tests.service.estimator.test_named_effects import FOUND
 
 MOST = 65_536  # bytes
 # Of the file beside its step: whether it is ready, and whether a look back is due; rounded up by the linker.

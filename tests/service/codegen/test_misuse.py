@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from schemas.messages import FeedforwardSource, HealthFlag, SampleFlag
 from schemas.robot import save_robot
 from service.cli.main import app
-from service.codegen import parameters
+from service.codegen import tunable
 from service.codegen.folder import read_twin
 from service.codegen.twin import to_c
 from service.estimator import state
@@ -33,7 +33,7 @@ def built(robot, tmp_path_factory) -> Built:
 
 def parameters_of(built: Built) -> np.ndarray:
     """(1,) record of the figures that may be loaded, as they are now."""
-    fields = [(one.name, "f8", parameters.shape(one)) for one in parameters.LOADABLE]
+    fields = [(one.name, "f8", tunable.shape(one)) for one in tunable.LOADABLE]
     record = np.zeros(1, np.dtype(fields, align=True))
     built.library[f"{built.name}_parameters_now"](pointer(record))
     return record
@@ -81,7 +81,7 @@ def test_no_pointer_is_followed_that_is_none(built) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("one", parameters.LOADABLE, ids=lambda one: one.name)
+@pytest.mark.parametrize("one", tunable.LOADABLE, ids=lambda one: one.name)
 def test_figures_that_no_robot_has_are_refused_and_those_of_before_stay(built, make, one) -> None:
     samples = make(0.2).samples
     assert built.init() == OK
@@ -110,7 +110,7 @@ def test_figures_that_are_loaded_are_those_of_the_service(built, robot, make) ->
     assert built.init() == OK
     built.run(samples)
     loaded = parameters_of(built)
-    for one in parameters.LOADABLE:
+    for one in tunable.LOADABLE:
         loaded[one.name] = settings[one.name]
     assert built.call("load", loaded) == OK
     # that of the peak, by which a jump is told, is a constant of the twin

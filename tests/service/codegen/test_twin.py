@@ -15,7 +15,7 @@ from service.model.effects import CATALOGUE
 from tests.known import PERIOD, make, robot
 from tests.service.codegen.built import Built, converted, differences, expected, needs_compiler
 from tests.service.codegen.disturbed import disturbed
-from tests.service.estimator.test_effects import FOUND, effect
+from tests.service.estimator.test_named_effects import FOUND, effect
 
 __all__ = ["make", "robot"]
 pytestmark = needs_compiler

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.plant.mechanism import Design, build, close
+from drivers.simulated.plant.mujoco_delta import Design, build, close
 from drivers.trace import read_trace
-from service.diagnosis.diagnose import diagnose
+from service.diagnosis.pipeline import diagnose
 from tests.service.diagnosis.logs import ROBOT, record, swing
 from tests.service.diagnosis.test_null import disturbance
 from tests.service.subject import EFFECTS

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import read_trace
-from schemas.axes import load_axes
+from schemas.axes_description import load_axes
 from schemas.errors import DataError, RobotError, TraceError
 from service.cli.main import app
 from service.model.prediction import motion

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import Axes, Axis
+from schemas.axes_description import Axes, Axis
 from schemas.errors import DataError
 from schemas.trace import Trace
 from service.diagnosis.documents.text import sentences
-from service.identification.axes import identify_axes
+from service.identification.joint_machines import identify_axes
 from tests.service.subject import CATALOGUE, EFFECTS, diagnose, document
 from tests.service.world import PERIOD, direction, sines
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import Axes, Axis
+from schemas.axes_description import Axes, Axis
 from schemas.diagnosis import Caution, Diagnosis
 from schemas.trace import Trace
 from schemas.words import percent
 from service.diagnosis.documents.text import sentences
-from service.diagnosis.evidence import by_angle
+from service.diagnosis.evidence import axis_friction
 from service.diagnosis.fit.selection import Standing
 from service.diagnosis.fit.wide import beside
 from service.identification import pooled
@@ -130,18 +130,18 @@ def fitted(logs: list[Trace], count: int = 1, term: Term = RUBS) -> tuple[Proble
 
 def test_it_has_to_shrink_the_gap_of_each_log():
     made, none, best = fitted([servo(seed, LOST) for seed in SEEDS])
-    assert by_angle.on_each_log(made, none, best)
-    assert by_angle.stays(made, none, best, LOAD) > 0.5
+    assert axis_friction.on_each_log(made, none, best)
+    assert axis_friction.stays(made, none, best, LOAD) > 0.5
     made, none, best = fitted([servo(seed, lost) for seed, lost in zip(SEEDS, (LOST, LOST, LOST, 0.0), strict=True)])
     assert best.loss < none.loss
-    assert not by_angle.on_each_log(made, none, best)
+    assert not axis_friction.on_each_log(made, none, best)
 
 
 @pytest.mark.parametrize(("ahead", "stands"), [(3.1, True), (2.9, False)])
 def test_what_it_takes_beside_all_that_goes_by_the_angle_is_no_chance(monkeypatch, ahead, stands):
     made, none, best = fitted([servo(seed, LOST) for seed in SEEDS])
-    monkeypatch.setattr(by_angle, "z_score", lambda worse, better: ahead if worse.sum() > better.sum() else 0.0)
-    assert (by_angle.stays(made, none, best, LOAD) > 0.5) == stands
+    monkeypatch.setattr(axis_friction, "z_score", lambda worse, better: ahead if worse.sum() > better.sum() else 0.0)
+    assert (axis_friction.stays(made, none, best, LOAD) > 0.5) == stands
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_what_it_takes_beside_all_that_goes_by_the_angle_is_no_chance(monkeypatc
 def test_nothing_may_be_in_its_place(probability, confusable, ahead, stands):
     made, none, best = fitted([servo(seed, LOST) for seed in SEEDS])
     standing = Standing(none, probability, confusable, ahead)
-    assert by_angle.told_beside(made, best, LOAD, standing) == stands
+    assert axis_friction.told_beside(made, best, LOAD, standing) == stands
 
 
 def two(seed: int, odd: float) -> Trace:
@@ -173,7 +173,7 @@ def two(seed: int, odd: float) -> Trace:
 @pytest.mark.parametrize(("odd", "least", "most"), [(0.0, 0.0, 0.03), (1.0, 0.1, 1.0)])
 def test_what_is_left_open_is_all_that_goes_by_the_angle(odd, least, most):
     made, none, _ = fitted([two(seed, odd) for seed in SEEDS], 2)
-    columns = by_angle.by_angle(made, none.hypothesis, [1])
+    columns = axis_friction.by_angle(made, none.hypothesis, [1])
     left = beside(none.fitted, columns, Split.of(made, mixed=True))
     before, after = (made.rms(each, [0] * len(each))[0] for each in (none.residuals, left))
     assert least * before[1] <= after[1] < most * before[1]
@@ -185,7 +185,7 @@ def asked(made: Problem, none: Scored, best: Scored, *codes: str, taken: bool = 
     regressors = Regressors(made, Split.of(made), [LOAD], none.hypothesis)
     doubts = [Caution.model_validate({"code": code, "advice": "check_base"}) for code in codes]
     found = Selection(none, best, [([best], best)], {}) if taken else Selection(none, none, [([best], None)], {})
-    return by_angle.named_beside(regressors, found, doubts, [], lambda effect, joint: True, 1.25)
+    return axis_friction.named_beside(regressors, found, doubts, [], lambda effect, joint: True, 1.25)
 
 
 def test_anything_else_that_speaks_against_a_name_stands():
@@ -202,7 +202,7 @@ def test_anything_else_that_speaks_against_a_name_stands():
 @pytest.mark.parametrize("worth", [True, False])
 def test_what_only_came_near_has_to_be_worth_it(monkeypatch, worth):
     made, none, best = fitted([servo(seed, LOST, wanders=WANDERS) for seed in SEEDS])
-    monkeypatch.setattr(by_angle, "worth", lambda *_: worth)
+    monkeypatch.setattr(axis_friction, "worth", lambda *_: worth)
     stood = asked(made, none, best, "much_is_left", taken=False)
     assert (stood is not None) == worth
     if stood is not None:
@@ -214,5 +214,5 @@ def test_a_delta_is_not_asked(monkeypatch):
     runs = [course(seed, 2.0) for seed in SEEDS]
     made = of_delta(runs, [run.torque for run in runs])
     none = selection.score(fit(made, Hypothesis(BASE)), Split.of(made))
-    monkeypatch.setattr(by_angle, "earned", lambda *_: pytest.fail("was asked"))
+    monkeypatch.setattr(axis_friction, "earned", lambda *_: pytest.fail("was asked"))
     assert asked(made, none, none, "much_is_left") is None

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace
-from schemas.axes import Axes, Axis
+from schemas.axes_description import Axes, Axis
 from schemas.diagnosis import Caution, Follows
 from schemas.errors import DataError, RobotError
 from schemas.robot import load_robot
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
 from service.diagnosis.evidence.cautions import base_doubts, degrees_doubted, faults_of, limits_of, noise_of
+from service.diagnosis.pipeline import diagnose
 from service.identification.fit import Problem
 from service.identification.noise import Floor
 from service.model.effects import CATALOGUE, by_name, catalogue

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.diagnosis import Caution
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace

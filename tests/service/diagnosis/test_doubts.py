@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from drivers.plant.mechanism import Design, build, required_torque
+from drivers.simulated.plant.mujoco_delta import Design, build, required_torque
 from schemas.diagnosis import Caution
 from tests.service.injected import INJECTED
 from tests.service.subject import EFFECTS, Hypothesis, Selection, Split, Term, cautions, evaluate, fit, selection

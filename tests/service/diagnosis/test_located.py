@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace
-from schemas.axes import load_description
+from schemas.axes_description import load_description
 from schemas.diagnosis import Located
 from service.diagnosis.evidence.located import located
 from tests.bench.second_plant.cases import make, placed

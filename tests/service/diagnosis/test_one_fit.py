@@ -9,8 +9,8 @@ import pytest
 
 from drivers.trace import read_trace
 from schemas.errors import DataError
-from service.diagnosis.diagnose import diagnose
-from service.identification.identify import identify
+from service.diagnosis.pipeline import diagnose
+from service.identification.from_traces import identify
 from service.identification.regression import summarise
 from service.model.nominal import pack
 from tests.service.diagnosis.logs import ROBOT, record, swing

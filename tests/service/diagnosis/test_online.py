@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.plant.mechanism import Design
+from drivers.simulated.plant.mujoco_delta import Design
 from drivers.trace import write_trace
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.diagnosis import Diagnosis, OnlineFigures, OnlineTrial
 from schemas.messages import PayloadEvent, SampleFlag
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
-from service.diagnosis.documents import online
+from service.diagnosis.documents import worth
 from service.diagnosis.documents.online_text import KEEP, NOTE, noted, sentences_of, standing
-from service.identification.payload import Pick, Weighed
+from service.identification.weighed_picks import Pick, Weighed
 from service.model.prediction import motion
 from tests.service.subject import EFFECTS, Delta, Hypothesis, Parameters, Term, described
 from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRUTH, VISCOUS, direction, rigid_torque, stub
@@ -78,18 +78,18 @@ def heavier(mass: float, made: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.
     return rigid_torque(Design(loaded), made) - rigid_torque(Design(TRUTH), made)
 
 
-def loaded(seed: int, viscous: float = 1.0) -> online.Loaded:
+def loaded(seed: int, viscous: float = 1.0) -> worth.Loaded:
     trace = log(seed)
     along = motion(trace)
-    (case,) = online._simulated(KNOWN, Delta.of(ROBOT), [trace])
+    (case,) = worth._simulated(KNOWN, Delta.of(ROBOT), [trace])
     real = log(seed, picks=case.picks, viscous=viscous)
-    return online.Loaded(real, along, Delta.of(ROBOT), case.picks, None)
+    return worth.Loaded(real, along, Delta.of(ROBOT), case.picks, None)
 
 
 def test_a_simulated_load_takes_what_a_heavier_platform_takes_in_mujoco() -> None:
     trace = log(1, moves=4)
     picks = (Pick(0.7, 1.3, 2.0), Pick(1.9, np.inf, 0.5))
-    made = online.carrying(KNOWN, trace, motion(trace), picks)
+    made = worth.carrying(KNOWN, trace, motion(trace), picks)
     _, *course = stop_and_go(1, 4)
     for pick in picks:
         rows = (trace.time >= pick.begin) & (trace.time < pick.end)
@@ -106,7 +106,7 @@ def test_a_load_is_measured_as_late_as_the_torque() -> None:
     delay = Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.004,))
     late = known(Hypothesis(replace(BASE, timing=0.0), (delay,)))
     picks, along = (Pick(0.7, np.inf, 2.0),), motion(trace)
-    at_once, later = (online.carrying(robot, trace, along, picks).torque - trace.torque for robot in (KNOWN, late))
+    at_once, later = (worth.carrying(robot, trace, along, picks).torque - trace.torque for robot in (KNOWN, late))
     rows = np.arange(1000, 2000)
     assert np.abs(later[rows] - at_once[rows]).max() > 0.2
     np.testing.assert_allclose(later[rows], at_once[rows - 4], atol=0.01)
@@ -114,29 +114,29 @@ def test_a_load_is_measured_as_late_as_the_torque() -> None:
 
 def test_loads_come_and_go_where_all_joints_rest() -> None:
     trace = log(2)
-    (case,) = online._simulated(KNOWN, Delta.of(ROBOT), [log(3, moves=4), trace])[:1]
+    (case,) = worth._simulated(KNOWN, Delta.of(ROBOT), [log(3, moves=4), trace])[:1]
     assert case.trace.name == "log_2"  # the one with most rests first
     _, _, speed, _ = stop_and_go(2, 12)
     changes = np.array([start for start, _, _ in case.changes])
     assert len(changes) == 11  # the rests between 12 moves
     assert np.abs(speed[np.round(changes / PERIOD).astype(int)]).max() == 0.0
-    assert np.diff(changes).min() >= online.SEEN
+    assert np.diff(changes).min() >= worth.SEEN
     assert {mass for _, _, mass in case.changes} == {0.0, 1.0, 3.0}
     told = np.full(len(trace), np.uint32(SampleFlag.LOADED))
-    assert online._simulated(KNOWN, Delta.of(ROBOT), [replace(trace, flags=told)]) == []
+    assert worth._simulated(KNOWN, Delta.of(ROBOT), [replace(trace, flags=told)]) == []
 
 
 def test_figures_with_loads_that_were_really_there_tell_a_right_description_from_a_wrong_one() -> None:
     case, none = loaded(4), Hypothesis(BASE)
     floor = 0.3 * float(np.sqrt(2 * 40.0 * PERIOD))
-    right = online._figures(KNOWN, [case], none, floor)
+    right = worth._figures(KNOWN, [case], none, floor)
     assert right.right >= len(case.changes) - 1
     assert right.trusted > 0.5
     assert right.false_events == 0
     assert right.feedforward_over_noise < 2.5
     assert KNOWN.identified is not None
     rubbed = loaded(4, viscous=4.0)
-    wrong = online._figures(KNOWN, [rubbed], none, floor)
+    wrong = worth._figures(KNOWN, [rubbed], none, floor)
     assert wrong.feedforward_over_noise > 3 * right.feedforward_over_noise
     assert standing(wrong, right, len(case.changes)) == "better"
     assert standing(right, wrong, len(case.changes)) == "worse"
@@ -149,8 +149,8 @@ def test_an_event_is_false_where_no_change_explains_it() -> None:
     sure = np.ones(40)
     found = Weighed(clock, np.zeros(40), sure, sure, sure, np.zeros(40, bool), event)
     trace = log(1, moves=4)
-    case = online.Loaded(trace, motion(trace), Delta.of(ROBOT), (Pick(1.05, 2.35, 1.0),), None)
-    assert online._false_events(found, clock, case) == 2  # 1.2 s and 2.5 s are the pick's and the release's
+    case = worth.Loaded(trace, motion(trace), Delta.of(ROBOT), (Pick(1.05, 2.35, 1.0),), None)
+    assert worth._false_events(found, clock, case) == 2  # 1.2 s and 2.5 s are the pick's and the release's
 
 
 def figures(right: int = 5, trusted: float = 0.5, false_events: int = 1, feedforward: float = 1.0) -> OnlineFigures:
@@ -227,20 +227,20 @@ def findings(robot: object) -> object:
 
 
 def test_nothing_is_said_of_what_the_online_model_does_not_carry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(online, "corrected", lambda _: KNOWN)
-    monkeypatch.setattr(online, "carried", lambda effect: effect.name != "stribeck_friction")
-    found = online.online_trial(findings(ROBOT), [log(1)], [])  # pyright: ignore[reportArgumentType]
+    monkeypatch.setattr(worth, "corrected", lambda _: KNOWN)
+    monkeypatch.setattr(worth, "carried", lambda effect: effect.name != "stribeck_friction")
+    found = worth.online_trial(findings(ROBOT), [log(1)], [])  # pyright: ignore[reportArgumentType]
     assert found == OnlineTrial(reason="not_carried", left_out=["stribeck_friction"])
-    monkeypatch.setattr(online, "carried", lambda _: True)
+    monkeypatch.setattr(worth, "carried", lambda _: True)
     short = log(1, moves=1)
-    found = online.online_trial(findings(ROBOT), [short], [])  # pyright: ignore[reportArgumentType]
+    found = worth.online_trial(findings(ROBOT), [short], [])  # pyright: ignore[reportArgumentType]
     assert found == OnlineTrial(reason="no_rest")
 
 
 def test_axes_have_no_estimator(monkeypatch: pytest.MonkeyPatch) -> None:
     axes = Axes.model_construct(kind="axes", name="axes")
-    monkeypatch.setattr(online, "corrected", lambda _: axes)
-    assert online.online_trial(findings(axes), [log(1)], []) is None  # pyright: ignore[reportArgumentType]
+    monkeypatch.setattr(worth, "corrected", lambda _: axes)
+    assert worth.online_trial(findings(axes), [log(1)], []) is None  # pyright: ignore[reportArgumentType]
 
 
 def test_diagnose_says_what_its_correction_is_worth(tmp_path: Path) -> None:
@@ -283,9 +283,9 @@ def test_behind_gears_that_yield_feed_forward_alone_is_judged(monkeypatch: pytes
     gear = Term(EFFECTS["joint_elasticity"], (0, 1, 2), np.zeros((3, 0)), (40.0, 0.05, 0.2))
     soft = stub(robot=ROBOT, best=stub(hypothesis=Hypothesis(BASE, (gear,))), problem=stub(band=stub(cutoff_hz=40.0),
                 sigma=np.full(3, NOISE)))  # fmt: skip
-    monkeypatch.setattr(online, "corrected", lambda _: KNOWN)
-    monkeypatch.setattr(online, "identified", lambda _: KNOWN)
-    found = online.online_trial(soft, [log(1)], [])  # pyright: ignore[reportArgumentType]
+    monkeypatch.setattr(worth, "corrected", lambda _: KNOWN)
+    monkeypatch.setattr(worth, "identified", lambda _: KNOWN)
+    found = worth.online_trial(soft, [log(1)], [])  # pyright: ignore[reportArgumentType]
     assert found is not None
     assert found.reason is None
     assert (found.changes, found.simulated) == (0, True)

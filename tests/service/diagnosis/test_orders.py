@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.trace import Trace
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
 from service.diagnosis.fit import orders
+from service.diagnosis.pipeline import diagnose
 from service.model import ripple
 from service.model.effects import by_name, catalogue
 from tests.service.world import stub

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace
-from schemas.axes import load_axes
-from service.diagnosis.diagnose import diagnose
+from schemas.axes_description import load_axes
 from service.diagnosis.documents.text import caution
 from service.diagnosis.evidence import placement
 from service.diagnosis.evidence.placement import Placement
 from service.diagnosis.findings import Findings
+from service.diagnosis.pipeline import diagnose
 from service.model.effects import catalogue
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from schemas.axes import load_axes
-from schemas.chain import ChainIdentified
+from schemas.axes_description import load_axes
+from schemas.chain_description import ChainIdentified
 from service.cli.main import app
 
 SURE = 0.9  # probability from which a name counts as given

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.plant.effects.out_of_catalogue import CableMemory
+from drivers.simulated.plant.effects.out_of_catalogue import CableMemory
 from service.diagnosis.fit.sound import fault_of
 from tests.service.subject import EFFECTS, Hypothesis, Problem, Regressors, Split, Term, fit, selection
 from tests.service.world import BASE, COULOMB, PERIOD, VISCOUS, course, problem, stub

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.diagnosis.discrepancies.base import Seen
+from service.diagnosis.discrepancies.discrepancy import Seen
 from service.diagnosis.discrepancies.toothed_belt import ToothedBelt
 from tests.service.diagnosis.test_accepted import platform
 from tests.service.subject import Hypothesis, evaluate

@@ -6,7 +6,7 @@ import pytest
 from service.estimator.departure import COUNT
 from service.estimator.payload import change
 from service.estimator.payload.loads import fill_swing, locate
-from service.estimator.payload.state import (
+from service.estimator.payload.payload_state import (
     LOADS,
     OFFSET_STD,
     PRIOR_STD,

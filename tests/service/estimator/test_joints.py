@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from schemas.axes import Axes, load_description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, load_description
+from schemas.chain_description import Chain
 from schemas.errors import DataError, RobotError
 from schemas.messages import (
     JOINT_REFERENCE,
@@ -23,8 +23,8 @@ from schemas.messages import (
     SampleFlag,
     set_stamp,
 )
-from service.estimator.joints import state
-from service.estimator.joints.estimator import JointEstimator
+from service.estimator.joints import joints_state
+from service.estimator.joints.joints_estimator import JointEstimator
 from service.estimator.online import estimator_of, left_out
 from service.model.description import torque_along
 from tests.hostile import hostile, not_finite, reference
@@ -335,11 +335,11 @@ def test_effects_that_are_left_out_are_named_and_in_health(tmp_path: Path) -> No
 def test_what_is_missing_for_going_online_is_named(tmp_path: Path) -> None:
     (tmp_path / "axes.toml").write_text(AXES.replace("speed = [6.0, 3.0]\n", ""))
     with pytest.raises(RobotError, match=r"axes\.toml: limits\.speed: none for joint 1: .* \[limits\] speed = "):
-        state.check(described(tmp_path / "axes.toml"))
+        joints_state.check(described(tmp_path / "axes.toml"))
     (tmp_path / "arm.urdf").write_text(SIX.urdf().replace('effort="300"', 'effort="0"', 1))
     (tmp_path / "arm.toml").write_text(SIX.description())
     with pytest.raises(DataError, match=r"arm\.toml: no \[identified\] parameters"):
-        state.check(described(tmp_path / "arm.toml"))
+        joints_state.check(described(tmp_path / "arm.toml"))
     (tmp_path / "axes.toml").write_text(AXES.replace("[20.0, 60.0]", "[20.0]"))
     with pytest.raises(RobotError, match=r"limits\.torque: 1 values for 2 joints"):
         described(tmp_path / "axes.toml")

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from drivers.motion import Payload, Planner, Trajectory
-from drivers.plant.effects import make_effects
-from drivers.plant.effects.friction import PassiveJointFriction, StribeckFriction
-from drivers.plant.effects.sensing import TorqueScale
-from drivers.plant.effects.transmission import JointElasticity
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import Course
-from drivers.plant.truth import TRUTHS, load_truth
+from drivers.simulated.plant.effects import make_effects
+from drivers.simulated.plant.effects.friction import PassiveJointFriction, StribeckFriction
+from drivers.simulated.plant.effects.sensing import TorqueScale
+from drivers.simulated.plant.effects.two_mass_effects import JointElasticity
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import Course
+from drivers.simulated.plant.truth import TRUTHS, load_truth
 from schemas.messages import REFERENCE, SAMPLE, set_stamp, stamp_ns
 from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected
+from service.diagnosis.pipeline import diagnose
 from service.estimator.estimator import Estimator
-from service.experiment.logs import excitations, record
-from service.identification.identify import identify
+from service.experiment.experiment_logs import excitations, record
+from service.identification.from_traces import identify
 from service.identification.regression import summarise
 from service.model import kinematics
 from service.model.effects import CATALOGUE

@@ -5,8 +5,8 @@ import pytest
 
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator.departure import COUNT
-from service.estimator.payload import rest, step
-from service.estimator.payload.state import LEAST_TIME, LOADS, PRIOR_STD, STATE, settings, start
+from service.estimator.payload import payload_step, rest
+from service.estimator.payload.payload_state import LEAST_TIME, LOADS, PRIOR_STD, STATE, settings, start
 from tests.service.estimator.test_departure import PRIOR as DRIFT
 
 PERIOD = 1e-3
@@ -107,7 +107,7 @@ def stand(state, residuals, shaken=()):
         if shaken:
             state["resting"], state["slow"]["now"]["weight"] = n not in shaken, float(n in shaken)
         state["column"][:, 0] = PHI
-        event = step.payload_kernel(SETTINGS, state)
+        event = payload_step.payload_kernel(SETTINGS, state)
         if event:
             events[n] = event
     return events
@@ -177,7 +177,7 @@ def test_slow_motion_does_not_take_over_a_mass_from_before_a_rest(stood, gripper
     for _ in range(320):
         state["column"], state["weight"], state["residual"] = 0.0, 0.0, 0.0
         state["column"][:, 0], state["slow"]["now"]["weight"] = PHI, 20.0
-        step.payload_kernel(SETTINGS, state)
+        payload_step.payload_kernel(SETTINGS, state)
     assert state["crept"] == pytest.approx(0.32 if unheard else 0.0)
     assert state["slow"]["mass_variance"] == (PRIOR_STD**2 if unheard else pytest.approx(0.1**2, rel=0.7))
     if unheard:
@@ -185,7 +185,7 @@ def test_slow_motion_does_not_take_over_a_mass_from_before_a_rest(stood, gripper
         assert not state["trusted"]
     for _ in range(200):
         state["slow"]["now"]["weight"] = 20.0
-        step.payload_kernel(SETTINGS, state)
+        payload_step.payload_kernel(SETTINGS, state)
     assert not state["unheard"], "the motion has told it"
 
 

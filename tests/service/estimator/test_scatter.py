@@ -6,7 +6,7 @@ import pytest
 from service.estimator import departure
 from service.estimator.departure import COUNT, PARTS
 from service.estimator.payload import scatter
-from service.estimator.payload.state import BLOCKS, COLOUR, LOADS, STATE, settings, start
+from service.estimator.payload.payload_state import BLOCKS, COLOUR, LOADS, STATE, settings, start
 from tests.service.estimator.test_departure import PRIOR, slopes_of
 
 PERIOD = 1e-3

@@ -8,8 +8,8 @@ from schemas.robot import EffectEntry, EffectParameter
 from service.estimator import step
 from service.estimator.estimator import Estimator
 from service.estimator.kalman import ORDER, acceleration_variance_kernel, largest_innovation
+from service.model.coulomb_viscous import direction
 from service.model.dynamics import torque_terms
-from service.model.friction import direction
 from service.model.nominal import pack
 from tests.known import PERIOD
 

@@ -6,7 +6,7 @@ import pytest
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator.departure import COUNT
 from service.estimator.payload import verdict
-from service.estimator.payload.state import COLOUR, LOADS, STATE, settings, start
+from service.estimator.payload.payload_state import COLOUR, LOADS, STATE, settings, start
 from tests.service.estimator.test_departure import PRIOR as DRIFT
 
 PERIOD = 1e-3

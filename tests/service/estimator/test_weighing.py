@@ -8,9 +8,9 @@ import pytest
 from schemas.messages import Gripper
 from service.estimator import slow
 from service.estimator.departure import COUNT, OWN, PARTS
-from service.estimator.payload import step
+from service.estimator.payload import payload_step
 from service.estimator.payload.loads import pair, weigh_whole
-from service.estimator.payload.state import (
+from service.estimator.payload.payload_state import (
     FINEST,
     LOADS,
     OFFSET_STD,
@@ -43,7 +43,7 @@ def rest(state, times=1, model=SETTINGS):
     """Samples that say nothing."""
     for _ in range(times):
         state["weight"], state["column"], state["residual"] = 0.0, 0.0, 0.0
-        step.payload_kernel(model, state)
+        payload_step.payload_kernel(model, state)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_every_sample_adds_what_it_says_and_the_past_fades(active, turns):
         weight = random.uniform(0.2, 2.0, 3)
         residual = column @ [0.5, 0.02, 0.01][:active] + 0.01 * random.standard_normal(3)
         state["column"][:, :active], state["residual"], state["weight"] = column, residual, weight
-        step.payload_kernel(SETTINGS, state)
+        payload_step.payload_kernel(SETTINGS, state)
         worth = np.diag(weight) * PERIOD / 0.003  # noise is alike for 3 ms
         raw = PRIOR[0, 0] + fade * (raw - PRIOR[0, 0]) + column[:, 0] @ worth @ column[:, 0]
         worth = worth / [1.7, 2.9, 1.7]
@@ -154,7 +154,7 @@ def tell(state, times):
     for _ in range(times):
         state["weight"], state["column"], state["residual"] = 1e-9, 0.0, 0.0
         state["column"][:, : state["active"]] = 1.0
-        step.payload_kernel(SETTINGS, state)
+        payload_step.payload_kernel(SETTINGS, state)
 
 
 @pytest.mark.parametrize(("turns", "active"), [(0, 1), (0, LOADS), (1, 1), (1, LOADS)])
@@ -183,7 +183,7 @@ def test_a_change_that_may_have_happened_is_doubted_through_a_rest(active):
         assert state["std_dev"] > 0.3
     else:
         assert state["filled"] == 150, "where blocks are parted by the time that has passed"
-    step.weigh_anew_kernel(state)
+    payload_step.weigh_anew_kernel(state)
     assert state["hidden"] == 0.0
 
 
@@ -195,7 +195,7 @@ def test_a_move_there_and_back_is_averaged_where_each_way_is_off_by_a_load():
         for _ in range(samples):
             state["column"][:, 0], state["residual"], state["weight"] = column, mass * column, 0.015  # 1/kg^2 a block
             state["judged"] = state["leverage"] = 1.0
-            step.payload_kernel(POOR, state)
+            payload_step.payload_kernel(POOR, state)
 
     weigh(4.2)
     assert state["mass"] == pytest.approx(4.2, abs=0.05)
@@ -207,7 +207,7 @@ def test_a_move_there_and_back_is_averaged_where_each_way_is_off_by_a_load():
     weigh(-1.0, 100)
     assert state["mass"] < 0.1, "beyond three standard deviations it is another load, event or none"
     assert weigh_whole(state) < 1.0, "and the average begins with it"
-    step.weigh_anew_kernel(state)
+    payload_step.weigh_anew_kernel(state)
     weigh(2.0, 40)
     assert state["mass"] == pytest.approx(2.0, abs=0.15), "nothing of what was before"
 
@@ -245,7 +245,7 @@ def test_what_a_rest_hides_takes_motion_to_be_known_again():
     assert (known["untold"], known["still"]) == (0.0, 0.0), "a gripper that says so"
     for _ in range(2):
         state["weight"], state["column"][:, 0] = 1.0, 1.0
-        step.payload_kernel(SETTINGS, state)
+        payload_step.payload_kernel(SETTINGS, state)
     assert (state["untold"], state["still"]) == (pytest.approx(0.15 - 2 * PERIOD), 0.0)
 
 
@@ -282,7 +282,7 @@ def test_what_hangs_on_a_gripper_that_worked_is_another(before, now, anew):
 
 def test_what_nobody_saw_the_gripper_do_is_not_known():
     state = fresh(mass=2.0, std_dev=0.1, trusted=1, usable=2.0, moment=9.0)
-    step.unseen_kernel(state)
+    payload_step.unseen_kernel(state)
     assert [state[name] for name in ("mass", "std_dev", "trusted", "usable")] == [0.0, PRIOR_STD, 0, 0.0]
     assert not state["moment"].any()
 
@@ -326,7 +326,7 @@ def test_slow_motion_hands_on_what_gravity_says():
         state["column"], state["weight"], state["residual"], state["shape"] = 0.0, 0.0, residual, shape
         state["column"][:, 0] = 0.9 * phi  # with an acceleration in it, that slow motion does not look at
         state["slow"]["now"]["phi"], state["slow"]["now"]["weight"] = phi, weight
-        step.payload_kernel(rule, state)
+        payload_step.payload_kernel(rule, state)
         now = expected["now"]
         now["phi"], now["way"], now["drift"], now["weight"] = phi, shape[:, 0], DRIFT[:-1:OWN], weight * slowly / 0.003
         now["residual"] = residual - slopes_of(shape) @ delta
@@ -340,7 +340,7 @@ def test_slow_motion_hands_on_what_gravity_says():
     assert state["untold"] == 0.0, "it is told"
     assert state["mass"] == pytest.approx(1.2, abs=0.2)
     state["weight"] = 1.0
-    step.payload_kernel(rule, state)
+    payload_step.payload_kernel(rule, state)
     assert state["slow"]["lasted"] == 0.0, "something fast ends it"
 
 
@@ -353,7 +353,7 @@ def test_behind_a_change_a_mass_and_the_models_error_are_told_anew(active):
         state["residual"] = state["column"][:, 0] * 2.0 * (n >= 31) + 0.05 * random.standard_normal(3)
         state["weight"], state["in_block"] = 100.0, 3
         before = state["filled"]
-        step.payload_kernel(SETTINGS, state)
+        payload_step.payload_kernel(SETTINGS, state)
         if state["filled"] < before:
             break
         state["untold"] = 0.15
@@ -367,5 +367,5 @@ def test_behind_a_change_a_mass_and_the_models_error_are_told_anew(active):
 def test_an_axis_turns_whichever_way_its_load_pulls(load):
     state = fresh()
     state["column"][2, load], state["weight"] = 0.1, 1.0
-    step.payload_kernel(SETTINGS, state)
+    payload_step.payload_kernel(SETTINGS, state)
     assert (state["active"], state["turning"]) == (LOADS, 15_000)

@@ -10,11 +10,11 @@ import pytest
 from PIL import Image
 
 from drivers.motion import Planner
-from drivers.plant.effects import make_effects
-from drivers.plant.plant import Plant
-from drivers.plant.truth import TRUTHS, load_truth
+from drivers.simulated.plant.effects import make_effects
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.truth import TRUTHS, load_truth
 from schemas.robot import load_robot
-from service.experiment.logs import excitations, record
+from service.experiment.experiment_logs import excitations, record
 from service.experiment.paper import ESTIMATOR, PUBLISHED, PaperResult, page, run, table_1
 from service.experiment.pictures import Diagram, PageTable, Section, write_page, write_pictures
 from service.identification.evaluation import WITH_PAYLOAD

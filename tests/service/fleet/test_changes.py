@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from schemas.diagnosis import Moved, NamedEffect, Online
-from schemas.fleet import Change, DayResult
+from schemas.fleet_document import Change, DayResult
 from service.fleet.changes import changes
 
 

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from schemas.errors import StorageError
-from schemas.fleet import Fleet
+from schemas.fleet_document import Fleet
 from schemas.robot import save_robot
 from service.cli.main import app
 from service.fleet import judge

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from schemas.diagnosis import Provenance
-from schemas.fleet import DayResult, Fleet, RobotHistory
+from schemas.fleet_document import DayResult, Fleet, RobotHistory
 from service.fleet.changes import changes
 from service.fleet.page import write_page
 from tests.service.pages.browser import looked_at, plots_of

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.trace.tables import Table
-from schemas.axes import Description, load_axes
+from schemas.axes_description import Description, load_axes
 from schemas.errors import DataError
 from service.identification.proposal import Proposal, propose
 from service.identification.readings import Stated

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace
-from schemas.axes import Axes, load_axes
+from schemas.axes_description import Axes, load_axes
 from schemas.trace import Trace
 from service.identification import bare
-from service.identification.axes import identify_axes
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import gains
+from service.identification.joint_machines import identify_axes
 from service.identification.pooled import Identification
 from service.model.mechanism import DecoupledAxes
 from service.model.prediction import FULL, error_in_band, motion, predict_along

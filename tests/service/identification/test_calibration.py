@@ -16,11 +16,11 @@ from schemas.robot import EffectEntry, Identified, Robot, load_robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
 from service.estimator import state
-from service.estimator.payload.state import UNCALIBRATED
+from service.estimator.payload.payload_state import UNCALIBRATED
 from service.identification.calibration import Calibration, calibrate
-from service.identification.identify import identify
-from service.identification.payload import CommonError, common_error
+from service.identification.from_traces import identify
 from service.identification.regression import summarise
+from service.identification.weighed_picks import CommonError, common_error
 from service.model.description import torque_along
 from service.model.nominal import pack
 from service.model.signals import smooth

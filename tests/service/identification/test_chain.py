@@ -10,12 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import read_trace
-from schemas.axes import load_axes, save_description
-from schemas.chain import Chain, ChainIdentified
+from schemas.axes_description import load_axes, save_description
+from schemas.chain_description import Chain, ChainIdentified
 from schemas.errors import DataError
 from service.cli.main import app
-from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected, document
+from service.diagnosis.pipeline import diagnose
 from service.model.effects import catalogue
 from service.model.mechanism import SerialArm
 from tests.service import arm

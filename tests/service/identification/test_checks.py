@@ -15,7 +15,7 @@ from drivers.trace import read_trace
 from schemas.errors import DataError
 from schemas.robot import Drive, Robot, load_robot
 from schemas.trace import Trace
-from service.identification.identify import identify
+from service.identification.from_traces import identify
 from service.identification.pooled import Identification
 from service.identification.regression import NormalEquations, summarise
 from service.model.nominal import pack

@@ -19,7 +19,7 @@ from service.cli.main import app
 from service.identification.conclusion import of_evaluation, of_fit, of_payload
 from service.identification.evaluation import evaluate
 from service.identification.of_logs import identify_logs
-from service.identification.payload import CommonError, MassLevel
+from service.identification.weighed_picks import CommonError, MassLevel
 
 Record = Callable[..., Trace]
 

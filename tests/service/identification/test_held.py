@@ -12,14 +12,14 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import write_trace
-from schemas.axes import Axes, Axis
+from schemas.axes_description import Axes, Axis
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
-from service.identification.axes import identify_axes
 from service.identification.evaluation import evaluate
+from service.identification.from_traces import identify
 from service.identification.held import told_of_held
-from service.identification.identify import identify
+from service.identification.joint_machines import identify_axes
 from service.identification.regression import summarise
 from service.model.nominal import pack
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
+from service.identification.joint_machines import identify_axes
 from service.identification.pooled import ParameterEstimate, _structure
 from tests.service.world import stub
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
-from service.identification.identify import identify
+from service.identification.from_traces import identify
+from service.identification.joint_machines import identify_axes
 from service.identification.loops import loops_of, told
 from service.identification.regression import summarise
 from service.model.nominal import pack

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from schemas.errors import DataError
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.identification.identify import identify
+from service.identification.from_traces import identify
 from service.identification.pooled import Identification, Plain
 from service.identification.regression import summarise
 from service.model.nominal import pack

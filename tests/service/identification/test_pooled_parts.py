@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.errors import DataError
 from service.identification import folds, pooled
 from service.identification.pooled import Plain

@@ -13,7 +13,7 @@ from drivers.trace import read_trace
 from schemas.messages import SampleFlag
 from schemas.robot import Robot, load_robot, save_robot
 from schemas.trace import Trace
-from service.identification.identify import identify
+from service.identification.from_traces import identify
 from service.identification.regression import summarise
 from service.model.nominal import pack
 from service.model.prediction import MODELS, error_in_band, motion, predict_along

@@ -14,7 +14,7 @@ import pytest
 from drivers.trace import read_trace
 from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.columns import Columns
 from schemas.errors import DataError
 from schemas.robot import Drive, Robot

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.trace.tables import Table
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.errors import DataError, RobotError, TraceError
 from schemas.robot import Drive, Robot
 from service.identification import evidence, proposal, readings

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from schemas.axes import Axes, load_axes
+from schemas.axes_description import Axes, load_axes
 from schemas.errors import RobotError
 from service.cli.main import app
 from service.identification.rigs import Rig, of_logs, on_rig

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from drivers.bus import open_bus
 from drivers.trace import read_trace
 from replay.process import process
-from schemas.axes import load_description
+from schemas.axes_description import load_description
 from schemas.errors import UnansweredError
 from schemas.messages import Role
 from service.cli.main import app, summaries

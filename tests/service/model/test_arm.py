@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import load_axes
-from schemas.chain import Chain
+from schemas.axes_description import load_axes
+from schemas.chain_description import Chain
 from schemas.errors import RobotError
 from service.model.mechanism import SerialArm
 from tests.service import arm

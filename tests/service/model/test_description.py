@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import Axes, AxesIdentified, Description, load_axes
-from schemas.chain import Chain, ChainIdentified
+from schemas.axes_description import Axes, AxesIdentified, Description, load_axes
+from schemas.chain_description import Chain, ChainIdentified
 from schemas.errors import RobotError
 from schemas.robot import EffectEntry, EffectParameter, JointParameter, Parameter, Robot
 from service.model.arm import A_LINK

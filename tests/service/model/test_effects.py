@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.plant.effects import mechanics
-from drivers.plant.mechanism import Design
+from drivers.simulated.plant.effects import mechanics
+from drivers.simulated.plant.mujoco_delta import Design
 from service.model.effects.geometry import GeometryError
 from service.model.hypothesis import inside_of
 from service.model.nominal import lengthened

@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from drivers.motion import MotionLimits, Planner
-from drivers.plant.effects import transmission
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import simulate
+from drivers.simulated.plant.effects import two_mass_effects
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import simulate
 from service.model.elastic import LEFT, coupled, elastic_motion, gears_of, inertias
 from service.model.forward import forward_dynamics
 from service.model.kinematics import forward
@@ -158,7 +158,7 @@ def test_what_a_joint_feels_of_the_others_masses_does_not_turn_with_its_motor():
     assert most < 0.9
 
 
-def on_the_plant(effect: transmission.JointElasticity | transmission.Backlash) -> Scene:
+def on_the_plant(effect: two_mass_effects.JointElasticity | two_mass_effects.Backlash) -> Scene:
     """A log of the plant as the true base model sees it."""
     viscous = 2.0
     truth = TRUTH.model_copy(update={"viscous_friction_nms": [viscous] * 3, "peak_torque_nm": 250.0})
@@ -177,7 +177,7 @@ def left(here: Scene, torque: np.ndarray) -> np.ndarray:
 def test_gears_at_every_joint_are_what_the_plant_does():
     """A rotor and a link a joint as six bodies in closed loop, each joint with a spring of its own."""
     springs = [2600.0, 1900.0, 2200.0]
-    here = on_the_plant(transmission.JointElasticity(springs, 0.1))
+    here = on_the_plant(two_mass_effects.JointElasticity(springs, 0.1))
     whole, _ = inertias(MODEL, BASE.rigid)
     rotor = np.array(TRUTH.rotor_inertia_kgm2)
     terms = []
@@ -194,7 +194,7 @@ def test_gears_at_every_joint_are_what_the_plant_does():
 
 def test_play_is_what_the_plant_does():
     """But for the chatter of its impacts."""
-    here = on_the_plant(transmission.Backlash([0.002, 0.0, 0.0]))
+    here = on_the_plant(two_mass_effects.Backlash([0.002, 0.0, 0.0]))
     share = TRUTH.rotor_inertia_kgm2[0] / inertias(MODEL, BASE.rigid)[0][0]
     loose = coupled(here, {0: (0.002, 120.0, 2.0, share)})
     assert (left(here, here.total + loose) < 0.23 * left(here, here.total)).all()

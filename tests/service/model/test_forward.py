@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from drivers.plant.mechanism import Design, build, close, dependence, required_torque
+from drivers.simulated.plant.mujoco_delta import Design, build, close, dependence, required_torque
 from schemas.errors import PoseError
 from service.model import kinematics
 from service.model.dynamics import torque_terms

@@ -118,7 +118,7 @@ def test_potential_energy_and_gravity_torque(model, robot, pose):
 
 def test_friction_coefficients_stand_in_the_order_of_their_columns():
     """Phi = [theta_dot, sign theta_dot] goes with [f_v, f_c]."""
-    from service.model.friction import direction, friction_kernel
+    from service.model.coulomb_viscous import direction, friction_kernel
 
     f_v, f_c, speed = 1.4, 3.0, np.array([-2.0, 0.7, 5.0])
     phi = np.stack([speed, np.sign(speed)], axis=1)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from schemas.robot import FourthAxis
-from service.model.friction import direction, mean_direction
+from service.model.coulomb_viscous import direction, mean_direction
 from service.model.nominal import Correction, leaning, pack
 from tests.service import world
 

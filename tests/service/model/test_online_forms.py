@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.model.coulomb_viscous import SOFT, ball_joint_kernel
 from service.model.dynamics import TERMS, terms_kernel
 from service.model.effects.base import Instant
-from service.model.friction import SOFT, ball_joint_kernel
 from service.model.kinematics import POSE
 from service.model.nominal import record_of
 from tests.service.injected import INJECTED

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from schemas.axes import Axes
+from schemas.axes_description import Axes
 from schemas.errors import DataError
 from schemas.messages import SampleFlag
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
+from service.identification.joint_machines import identify_axes
 from service.model import signals
 from service.model.prediction import motion
 from service.model.signals import resolved_hz, segments, segments_of

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import load_axes
+from schemas.axes_description import load_axes
 from schemas.errors import DataError
 from schemas.robot import Robot
 from schemas.trace import Trace

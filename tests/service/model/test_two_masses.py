@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from drivers.motion import MotionLimits, Planner
-from drivers.plant.effects import transmission
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import simulate
+from drivers.simulated.plant.effects import two_mass_effects
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import simulate
 from service.model.elastic import inertias
 from service.model.two_masses import relative_motion, two_masses
 from tests.service.axis import INERTIA, loose_axis, spring_axis
@@ -67,8 +67,8 @@ def test_too_much_to_follow_is_no_torque_at_all():
 @pytest.mark.parametrize(
     ("name", "effect", "joint", "left_over"),
     [
-        ("joint_elasticity", transmission.JointElasticity([0.0, 2000.0, 0.0], 0.1), 1, 0.05),
-        ("backlash", transmission.Backlash([0.002, 0.0, 0.0]), 0, 0.35),  # impacts, but not their chatter
+        ("joint_elasticity", two_mass_effects.JointElasticity([0.0, 2000.0, 0.0], 0.1), 1, 0.05),
+        ("backlash", two_mass_effects.Backlash([0.002, 0.0, 0.0]), 0, 0.35),  # impacts, but not their chatter
     ],
 )
 def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):

@@ -22,7 +22,7 @@ from schemas.robot import load_robot
 from schemas.ros2 import type_hash
 from service.monitor.readback import read_recording
 from service.monitor.recording import RecordingWriter
-from service.monitor.recover import Recovered, recover
+from service.monitor.repair import Recovered, recover
 
 OWN = topics_of(OF_DELTA)
 

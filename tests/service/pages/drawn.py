@@ -9,21 +9,21 @@ from typing import Any, get_args
 import numpy as np
 
 from schemas.diagnosis import Advice, CautionCode, Diagnosis, Provenance
-from schemas.fleet import DayResult, Fleet, RobotHistory
-from schemas.rollout import RolloutDocument
-from service.diagnosis.blindpage import write_page as write_blindtest
-from service.diagnosis.blindtest import judged, summary
-from service.diagnosis.diagnose import WITHIN_NOISE
+from schemas.fleet_document import DayResult, Fleet, RobotHistory
+from schemas.rollout_document import RolloutDocument
 from service.diagnosis.documents.report import of_document, write_diagnosis
-from service.experiment.closed_loop import CORRECTED, FEEDBACK, RIGID, Tracking
+from service.diagnosis.pipeline import WITHIN_NOISE
+from service.diagnosis.sealed_cases import judged, summary
+from service.diagnosis.sealed_page import write_page as write_blindtest
+from service.experiment.live_loop import CORRECTED, FEEDBACK, RIGID, Tracking
 from service.experiment.loop_page import page as loop_page
 from service.experiment.loop_page import verdict_of_correction, verdict_of_models
 from service.experiment.pictures import write_page as write_findings
 from service.fleet.changes import changes
 from service.fleet.page import write_page as write_fleet
 from service.model.effects import CATALOGUE
-from service.rollout.document import write_rollout
 from service.rollout.gap import REGIMES
+from service.rollout.rollout_page import write_rollout
 
 MADE = Provenance(at="2026-03-01T10:00:00+00:00", version="1.2.3", inputs={"pick.csv": "a" * 64})
 UNITS = ("", "N m", "rad", "N m s/rad", "kg")

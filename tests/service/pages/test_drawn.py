@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from schemas.words import counted, percent, significant
-from service.diagnosis.blindpage import BOUNDS, OF_SPEED
-from service.experiment.closed_loop import ratio
+from service.diagnosis.sealed_page import BOUNDS, OF_SPEED
+from service.experiment.live_loop import ratio
 from service.model.effects import CATALOGUE
 from service.pages.palette import Colour
-from service.rollout.document import in_figures
+from service.rollout.rollout_page import in_figures
 from tests.service.pages.browser import plots_of
 from tests.service.pages.drawn import KINDS
 

@@ -18,15 +18,15 @@ from typer.testing import CliRunner
 from schemas.errors import StorageError
 from schemas.messages import MODEL_ERROR, PAYLOAD, SAMPLE, set_stamp
 from schemas.robot import Servo
-from schemas.rollout import Reached, RegimeReached, RolloutDocument
+from schemas.rollout_document import Reached, RegimeReached, RolloutDocument
 from service.cli.main import app
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
 from service.monitor.readback import Recorded
-from service.monitor.report import picture
+from service.monitor.recording_picture import picture
 from service.pages import LOOK, PROGRAM, Headline, print_page
 from service.pages import write_page as write_any_page
-from service.rollout.document import write_rollout
 from service.rollout.gap import REGIMES
+from service.rollout.rollout_page import write_rollout
 from tests.service.pages.browser import looked_at, picture_of, plots_of
 from tests.service.pages.drawn import KINDS
 

@@ -14,13 +14,13 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import read_trace
-from schemas.axes import Axes, load_axes
-from schemas.chain import Chain
+from schemas.axes_description import Axes, load_axes
+from schemas.chain_description import Chain
 from schemas.errors import DataError
 from service.cli.main import app
-from service.identification.axes import identify_axes
+from service.identification.joint_machines import identify_axes
 from service.machines import machine_of
-from service.machines.forward import run
+from service.machines.forward_runs import run
 from service.model.description import base_of
 from service.model.scene import Base
 from service.rollout.joints import STILL, compare, named

@@ -11,7 +11,7 @@ from service.model import kinematics
 from service.model.dynamics import torque_terms
 from service.model.forward import forward_dynamics
 from service.rollout.gap import simulate
-from service.rollout.robot import simulated, stretch
+from service.rollout.packed import simulated, stretch
 from tests.service.subject import CATALOGUE, Effect, Segment, torque_along
 from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRANSITION, VISCOUS, sines
 

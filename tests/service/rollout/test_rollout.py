@@ -17,8 +17,8 @@ from schemas.diagnosis import named_joints
 from schemas.errors import DataError
 from schemas.robot import JointParameter, Robot, save_robot
 from service.cli.main import app
-from service.rollout.document import document, sentences
 from service.rollout.gap import PLAIN, Rollout, check_sign, cut_up, plain, rollout
+from service.rollout.rollout_page import document, sentences
 from tests.service.rollout.test_kernel import effect, identified, recorded
 from tests.service.subject import Band
 from tests.service.world import PERIOD, ROBOT

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from drivers.motion import MotionLimits, Payload, Planner
-from drivers.plant.plant import Plant
-from drivers.plant.simulate import simulate
+from drivers.simulated.plant.plant import Plant
+from drivers.simulated.plant.plant_trace import simulate
 from schemas.errors import DataError
 from schemas.messages import Gripper, SampleFlag
 from schemas.robot import JointParameter, Robot, Servo
 from schemas.trace import Trace
-from service.rollout.document import document, sentences
 from service.rollout.gap import PLAIN, cut_up, plain, rollout, run
 from service.rollout.kernel import Drives, Runs
-from service.rollout.robot import stretch
+from service.rollout.packed import stretch
+from service.rollout.rollout_page import document, sentences
 from service.rollout.servo import commands_of, gains_of
 from tests.service.subject import Hypothesis, described, segments
 from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRANSITION, TRUTH, VISCOUS

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.plant.effects import friction
+from drivers.simulated.plant.effects import friction
 from schemas.robot import Identified, JointParameter, Parameter, Robot
 from schemas.trace import Trace
 from tests.service.injected import rubbing

@@ -13,20 +13,20 @@ import pytest
 
 from drivers.bus import open_bus
 from drivers.trace import read_trace
-from schemas.axes import Axes, Description, load_description, save_description
-from schemas.chain import Chain
+from schemas.axes_description import Axes, Description, load_description, save_description
+from schemas.chain_description import Chain
 from schemas.messages import JOINT_SAMPLE, LOAD, OF_JOINTS, FindingVerdict, HealthFlag, Role, WatchState
 from schemas.trace import Trace
-from service.identification.axes import identify_axes
-from service.monitor.node import Monitor
+from service.identification.joint_machines import identify_axes
+from service.monitor.monitor_node import Monitor
 from service.monitor.readback import read_recording
 from service.monitor.writer import WriterThread
-from service.watch import node
-from service.watch.change import ToolLoad
+from service.watch import watch_node
+from service.watch.changed_effect import ToolLoad
 from service.watch.examine import examine
 from service.watch.kept import EARLY_ARM_S, Kept
-from service.watch.node import Examination, WatchNode
-from service.watch.watch import RISEN, Patience, Rise, Watch
+from service.watch.state_machine import RISEN, Patience, Rise, Watch
+from service.watch.watch_node import Examination, WatchNode
 from tests.service import arm
 from tests.service.sines import sines
 
@@ -167,7 +167,7 @@ def test_what_an_arm_picks_up_is_left_out_from_before_the_estimator_tells_it(sma
 def test_a_change_of_an_axis_is_found_published_stored_and_recorded(
     bus_folder: Path, tmp_path: Path, until: Callable[[Callable[[], bool]], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(node, "NICENESS", 0)  # beside other tests it would hardly ever be its turn
+    monkeypatch.setattr(watch_node, "NICENESS", 0)  # beside other tests it would hardly ever be its turn
     robot, description, recording, said = _axes("rad"), tmp_path / "known.toml", tmp_path / "run.mcap", []
     save_description(robot, description)
     samples = _axes_log(5, coulomb_2=0.4).samples(JOINT_SAMPLE)

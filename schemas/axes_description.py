@@ -1,0 +1,141 @@
+"""Description of n servo axes that do not feel each other but through their gears: a TOML file with `kind = "axes"`,
+for logs of real drives that are no Delta.
+
+name = "emps"
+kind = "axes"
+columns = "emps"            # a column mapping: a file, or the name of a bundled one
+coupling = [[1, 0], [1, 1]] # row i: how far motor i, behind its gear, turns for a turn of each joint; default: its own
+[[axis]]
+unit = "m"                  # of the position: m, or rad; torque is then a force in N, or N m
+gravity = false             # vertical axis of rotation, or balanced; default: a rotary axis bears a weight
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import tomlkit
+from pydantic import Field, model_validator
+from tomlkit.items import AoT, Table
+
+from schemas.chain_description import Chain
+from schemas.columns import MAX_JOINTS
+from schemas.errors import RobotError
+from schemas.files import write_text
+from schemas.joints_description import JointFriction, Machine
+from schemas.robot import JointParameter, Robot, Source, load_robot, save_robot, toml_item
+from schemas.toml import Positive, TomlTable, read_toml, validate
+from schemas.urdf import read_urdf
+
+
+class Axis(TomlTable):
+    """One axis. gear_ratio: for the orders of ripple. gravity: whether its weight torque changes with its angle; the
+    part that does not change is its constant load."""
+
+    unit: Literal["m", "rad"] = "rad"  # of the position
+    gear_ratio: Positive = 1.0  # motor turns per turn of the axis
+    gravity: bool | None = None  # default: a rotary axis bears a weight
+
+    @model_validator(mode="after")
+    def _weight(self) -> Axis:
+        if self.unit == "m" and self.gravity:
+            raise ValueError("gravity: the weight of a linear axis is constant, and is part of its constant load")
+        return self
+
+    @property
+    def weighs(self) -> bool:
+        """Whether gravity may turn with the axis."""
+        return self.unit == "rad" and self.gravity is not False
+
+
+class AxesIdentified(JointFriction):
+    """torque = inertia x_ddot + friction + offset + gravity_sin sin x + gravity_cos cos x, SI, one value per axis; and
+    the inertia of each motor that turns with several axes."""
+
+    inertia: JointParameter
+    offset: JointParameter
+    gravity_sin: JointParameter | None = None
+    gravity_cos: JointParameter | None = None
+    motor_inertia: JointParameter | None = None
+
+
+class Axes(Machine):
+    """One or more servo axes that do not influence each other."""
+
+    kind: Literal["axes"]  # of the machine
+    called: ClassVar[str] = "servo axes"
+    axis: Annotated[list[Axis], Field(min_length=1, max_length=MAX_JOINTS)]
+    identified: AxesIdentified | None = None
+
+    @model_validator(mode="after")
+    def _for_each_axis(self) -> Axes:
+        self._check(self.identified)
+        return self
+
+    @property
+    def count(self) -> int:
+        return len(self.axis)
+
+    @property
+    def gear_ratios(self) -> list[float]:
+        return [axis.gear_ratio for axis in self.axis]
+
+    @property
+    def linear(self) -> bool:
+        return all(axis.unit == "m" for axis in self.axis)
+
+    @property
+    def angular(self) -> bool:
+        return all(axis.unit == "rad" for axis in self.axis)
+
+
+KINDS = {"axes": Axes, "chain": Chain}
+Description = Robot | Axes | Chain
+
+
+def load_description(path: str | Path, effects: Path | None = None) -> Description:
+    """Read a description of a Delta robot, of axes or of an arm, as its `kind` says. effects: Python file with effects
+    of the user's own.
+
+    Raises:
+        RobotError: naming file, key and value of the first thing that is wrong.
+    """
+    path = Path(path)
+    kind = read_toml(path, RobotError).get("kind") if path.suffix == ".toml" else None
+    return load_axes(path, effects) if str(kind) in KINDS else load_robot(path, effects)
+
+
+def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
+    """Read a description of axes, or of an arm and its URDF.
+
+    Raises:
+        RobotError: naming file, key and value of the first thing that is wrong.
+    """
+    path = Path(path)
+    values = read_toml(path, RobotError)
+    machine = validate(KINDS.get(str(values.get("kind")), Axes), values, path, RobotError)
+    machine._source = Source(path.parent, effects, path)
+    if isinstance(machine, Chain):
+        machine._arm = read_urdf(path.parent / machine.urdf, machine.joints, machine.held)
+        if machine.payload is not None and machine.payload.frame not in machine.arm.links:
+            raise RobotError(f"{path}: payload.frame: {machine.urdf} has no link {machine.payload.frame!r}")
+    return machine
+
+
+def save_description(description: Description, path: Path, template: Path | None = None) -> None:
+    """Write a description; files that it names are named as seen from `path`. template: of a Delta, see `save_robot`.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    if isinstance(description, Robot):
+        save_robot(description, path, template)
+        return
+    document: Any = tomlkit.document()
+    values = description.model_dump(exclude_none=True, exclude_defaults=True)
+    values |= {key: os.path.relpath(file, path.parent) for key, file in description.files.items()}
+    for key in sorted(values, key=lambda key: isinstance(toml_item(values[key]), (AoT, Table))):  # those come last
+        document[key] = toml_item(values[key])
+    write_text(path, tomlkit.dumps(document))

@@ -1,0 +1,90 @@
+"""Description of a serial arm by its URDF: a TOML file with `kind = "chain"`, for logs of real arms.
+
+name = "ur10"
+kind = "chain"
+urdf = "ur10.urdf"                # beside this file
+joints = ["pan", "lift", "elbow"] # joints of the URDF, in the order of the log
+held = ["finger"]                 # joints that were at rest at zero
+columns = "ur10_columns.toml"
+gear_ratio = 101                  # motor turns per joint turn, for ripple orders: one, or one per joint
+masses = "known"                  # those of the URDF, or of [identified]; default: to be identified
+gravity_mps2 = [0.0, 0.0, -9.81]  # in the URDF's base frame; on the ceiling [0.0, 0.0, 9.81]
+coupling = [[1, 0], [1, 1]]       # as of axes
+payload = { frame = "tool0", mass_kg = 1.5, centre_m = [0.0, 0.0, 0.05] }  # without mass_kg: to be identified
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from schemas.columns import MAX_JOINTS
+from schemas.joints_description import JointFriction, Machine
+from schemas.robot import Gravity, Parameter
+from schemas.toml import NotNegative, Positive, Three, TomlTable
+from schemas.urdf import Urdf
+
+Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]
+
+
+class CarriedMass(TomlTable):
+    """A mass on a link of the URDF."""
+
+    frame: str  # link of the URDF
+    mass_kg: NotNegative | None = None  # default: to be identified
+    centre_m: Three = Field([0.0, 0.0, 0.0])  # centre of mass in the frame of the link
+
+
+class ChainIdentified(JointFriction):
+    """rigid: base parameters (combinations of masses that motion determines), rotor inertias and constant loads."""
+
+    rigid: dict[str, Parameter]
+
+
+class Chain(Machine):
+    """A serial arm that is described by a URDF."""
+
+    kind: Literal["chain"]  # of the machine
+    called: ClassVar[str] = "an arm"
+    urdf: str  # file next to this one
+    joints: Annotated[Names, Field(min_length=1)]  # of the URDF, in the order of the log
+    held: Names = Field([])  # joints that were at rest at zero
+    gear_ratio: Positive | list[Positive] = 1.0  # motor turns per turn of the joint: one, or one for each joint
+    masses: Literal["identified", "known"] = "identified"  # known: those of the URDF, or of `identified`
+    gravity_mps2: Gravity = Field([0.0, 0.0, -9.81])  # in the base frame of the URDF
+    payload: CarriedMass | None = None
+    identified: ChainIdentified | None = None
+    _arm: Urdf | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _for_each_joint(self) -> Chain:
+        for name in self.joints:
+            if (self.joints + self.held).count(name) > 1:
+                raise ValueError(f"joints: {name!r} is named twice")
+        if isinstance(self.gear_ratio, list) and len(self.gear_ratio) != self.count:
+            raise ValueError(f"gear_ratio: {len(self.gear_ratio)} values for {self.count} joints")
+        if self.payload is not None and self.payload.mass_kg is None and self.masses == "identified":
+            raise ValueError(
+                'payload: its mass is not separable from that of its link: give mass_kg, or masses = "known"'
+            )
+        self._check(self.identified)
+        return self
+
+    @property
+    def count(self) -> int:
+        return len(self.joints)
+
+    @property
+    def gear_ratios(self) -> list[float]:
+        return self.gear_ratio if isinstance(self.gear_ratio, list) else [self.gear_ratio] * self.count
+
+    @property
+    def files(self) -> dict[str, str]:
+        return super().files | {"urdf": str(self.folder / self.urdf)}
+
+    @property
+    def arm(self) -> Urdf:
+        """The URDF."""
+        assert self._arm is not None, "read by load_axes"
+        return self._arm
