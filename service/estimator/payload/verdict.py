@@ -25,9 +25,9 @@ CLEAR_STEP = 10.0
 # The same where most of that is what the model lacked when it was identified, which unlike noise is not drawn anew with
 # every sample.
 BIASED_STEP = 4.0
-# A change whose onset is further back than this, while the mass is not sure, the model lacks as much as a load or no
-# mass was ever known, or after which the robot sets out from a rest so long as slowly as nothing tells the mass in, is
-# believed, and no event: of a late one nobody knows what it is about.
+# A change whose onset is further back than this, while the mass is not sure or the model lacks as much as a load, or
+# after which the robot sets out from a rest so long as slowly as nothing tells the mass in, is believed, and no event:
+# of a late one nobody knows what it is about.
 FRESH_TIME = 0.29  # s of motion
 # Where what it lacks is so many times that of then, squared, gears are soft and settle: no step at rest is an event.
 SOFT = 10.0
@@ -183,8 +183,7 @@ def _happened(settings, state, held, std_dev, doubt, lacking, trusted):
         _believe(state, held, own)
     elif trusted or refined or (held - state.load) ** 2 > least:
         late = state.filled * settings.bin_size * settings.period > FRESH_TIME
-        first = state.last_event == PayloadEvent.NONE.value and state.sure_for == 0.0
-        late &= not known_empty and (foreign or not trusted or first)
+        late &= not known_empty and (foreign or not trusted)
         late |= state.gripper == UNKNOWN and state.crept > FRESH_TIME
         if late:
             _believe(state, held, own)

@@ -29,14 +29,6 @@ def believing(mass, std_dev, **fields):
     return state
 
 
-@pytest.mark.parametrize(("filled", "sure_for", "event"), [(145, 0.0, PICK), (146, 0.0, NONE), (146, 0.001, PICK)])
-def test_a_load_before_which_nothing_was_known_is_told_of_soon_or_not_at_all(filled, sure_for, event):
-    """It may have hung there when the robot was switched on."""
-    state = believing(2.0, 0.01, load=0.0, last_event=NONE, filled=filled, sure_for=sure_for)
-    assert told(state) == event
-    assert state["load"] == pytest.approx(2.0)
-
-
 def told(state, times=1):
     for _ in range(times - 1):
         verdict.conclude(SETTINGS, state)
