@@ -87,7 +87,7 @@ def __getattr__(name: str) -> Any:
     else:
         import importlib
 
-        home = "trace" if name == "Trace" else "results" if name.endswith("Result") else "functions"
+        home = "public_trace" if name == "Trace" else "results" if name.endswith("Result") else "functions"
         module = importlib.import_module(f"{__name__}.{home}")
     found = globals()[name] = getattr(module, name)
     return found

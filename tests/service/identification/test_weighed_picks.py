@@ -140,7 +140,7 @@ def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, r
 
     def carried():
         monkeypatch.setattr(
-            evaluation, "weighed", lambda *_: Weighed(trace.time, mass, 0 * mass, 0 * mass, 0 * mass, trusted, event)
+            weighed_picks, "weighed", lambda *_: Weighed(trace.time, mass, 0 * mass, 0 * mass, 0 * mass, trusted, event)
         )
         return evaluation._carried(robot, trace, motion(trace))
 
