@@ -148,7 +148,7 @@ def test_interfaces_that_cannot_be_tapped_are_one_error_each(space: Namespace) -
 
 def test_without_the_privilege_it_says_which(space: Namespace) -> None:
     code = (
-        "import os\nfrom drivers.ethercat import tap\nos.setgid(65534); os.setuid(65534)\n"
+        "import os\nfrom drivers.ethercat import live_tap as tap\nos.setgid(65534); os.setuid(65534)\n"
         f"try: tap.InterfaceSource({NEAR!r})\n"
         "except tap.BusError as error: print(error)"
     )
