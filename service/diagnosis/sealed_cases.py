@@ -117,7 +117,7 @@ def refused(keys: list[dict[str, Any]]) -> list[str]:
         if key["refused"]:
             what = f"{key['case']} ({', '.join(key['effects']) or 'no effect'})"
             end = "then another draw was used" if "kind" in key else "then the case was given up"
-            lines.append(f"{what}: {len(key['refused'])} draws refused, {end}; {key['refused'][-1]}")
+            lines.append(f"{what}: {len(key['refused'])} draws were refused, {end}; {key['refused'][-1]}")
     return lines
 
 

@@ -19,23 +19,23 @@ BOUNDS = {
     "extra_per_case": ("effects falsely named per case", "≤ 0.03"),
     "null_clean": ("gap-free logs reported as within noise", "≥ 0.99"),
     "unknown_said": ("cause outside the catalogue: reported as such", "≥ 0.90"),
-    "pair_both": ("both of a pair named", "≥ 0.90"),
+    "pair_both": ("two effects: both named", "≥ 0.90"),
     "after_over_floor_median": ("gap after correction over noise floor, median", "≤ 1.3"),
-    "claim_error_median": ("difference of claimed and measured shrink, median", "≤ 0.015"),
-    "claim_error_p90": ("difference of claimed and measured shrink, 90 %", "≤ 0.06"),
+    "claim_error_median": ("difference between claimed and measured shrink, median", "≤ 0.015"),
+    "claim_error_p90": ("difference between claimed and measured shrink, 90 % quantile", "≤ 0.06"),
     "three_f1": ("three effects: mean F1 of the names", "≥ 0.90"),
     "three_first": ("three effects: first name true", "≥ 0.95"),
-    "three_extra": ("three effects: falsely named per case", "≤ 0.15"),
+    "three_extra": ("three effects: effects falsely named per case", "≤ 0.15"),
     "outside_f1": ("two effects and one outside the catalogue: mean F1 of the two", "≥ 0.75"),
     "outside_said": ("two effects and one outside the catalogue: reported as partly unexplained", "≥ 0.95"),
-    "outside_extra": ("two effects and one outside the catalogue: falsely named per case", "≤ 0.2"),
-    "description_right": ("wrong description: named as such, or nothing named", "≥ 0.95"),
-    "description_extra": ("wrong description: falsely named per case", "≤ 0.05"),
+    "outside_extra": ("two effects and one outside the catalogue: effects falsely named per case", "≤ 0.2"),
+    "description_right": ("wrong description: reported as such, or no effect named", "≥ 0.95"),
+    "description_extra": ("wrong description: effects falsely named per case", "≤ 0.05"),
     "production_told": ("production logs: first name true, or the true one among its alternatives", "≥ 0.95"),
     "production_first": ("production logs: first name true", "≥ 0.80"),
     "scope_first": ("recorded by a scope: first name true", "≥ 0.90"),
     "scope_explained": ("recorded by a scope: explained", "≥ 0.80"),
-    "calibration": ("true share of the names with a probability of 90 to 100 %", "≥ 0.90"),
+    "calibration": ("share of true names among those with a probability of 90 to 100 %", "≥ 0.90"),
     "seconds_median": ("seconds per case, median", "≤ 6"),
 }
 OF_SPEED = {"seconds_median"}  # the first case also compiles the kernels
@@ -48,8 +48,8 @@ def write_page(
     """Write the page."""
     figures = [(label, _shown(summary[key]), bound) for key, (label, bound) in BOUNDS.items()]
     kinds = {row["kind"] for row in rows if "error" not in row}
-    plots = {"Confusion": _confusion(rows)} if kinds & {"catalogue", "unknown", "null"} else {}
-    plots |= {"Detection against lift": _detection(rows)} if "catalogue" in kinds else {}
+    plots = {"Confusion matrix": _confusion(rows)} if kinds & {"catalogue", "unknown", "null"} else {}
+    plots |= {"Detection by ratio of gap to noise floor": _detection(rows)} if "catalogue" in kinds else {}
     plots["Shrink, claimed and measured"] = _claims(rows)
     fields: dict[str, Any] = {
         "rows": rows,

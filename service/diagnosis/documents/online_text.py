@@ -62,8 +62,8 @@ def sentences_of(trial: OnlineTrial) -> list[str]:
             *([KEEP] if found == "worse" else []),
         ]
     said = (
-        f"{BEGINS[found]} has the mass right 150 ms after {better.right} of {trial.changes} changes of the load "
-        f"(identified: {known.right}), trusts it {percent(better.trusted)} of the time "
+        f"{BEGINS[found]} estimates the mass correctly, from 150 ms on, after {better.right} of {trial.changes} "
+        f"changes of the load (identified: {known.right}), trusts its estimate {percent(better.trusted)} of the time "
         f"({percent(known.trusted)}), "
         f"reports {better.false_events} false events ({known.false_events}), and its feed-forward is {off}."
     )

@@ -41,11 +41,11 @@ CAUTIONS = {
     "one_run": "There is only one run: the held-out data are stretches of the same run.",
     "beyond_any_robot": "{Effect} would have to be larger than on any real robot: the data cannot separate the "
     "effects.",
-    "several_arms": "Several arms at once would have to be far from the described geometry: the data cannot "
-    "separate the effects.",
+    "several_arms": "The geometry of several arms at once would have to differ greatly from the description: the "
+    "data cannot separate the effects.",
     "runs_differ": "The model fits each run alone, but not all runs together: the data cannot separate the effects.",
-    "much_is_left": "The residual is {share} of the torque itself, more than effects of the catalogue "
-    "would leave: the data cannot separate them.",
+    "much_is_left": "The residual is {share} of the torque itself, more than would remain if effects of the "
+    "catalogue were the cause: the data cannot separate them.",
     "much_beside": "The residual is {share} of the torque itself: besides the named effects, something is wrong or "
     "is not in the catalogue. The named effects shrink the gap of each held-out log. The data separate them from "
     "any load, inertia and friction that depend on the angle alone.",
@@ -53,20 +53,20 @@ CAUTIONS = {
     "of joint {last}, which the model of joint {first} does not contain. No effect is named on a wrong base model.",
     "sine_of_angle": "The base model has to be corrected first: {share} of the gap in joint {first} depends on its "
     "angle, as with a weight, a counterbalance or a wrong gear ratio. No effect is named on a wrong base model.",
-    "degrees": "The torque of {joints} depends on its angle as {effect} would make it. It would also do so if the "
+    "degrees": "The torque of {joints} depends on its angle as {effect} would cause. It would also do so if the "
     "axis bears a weight and its position is in degrees, not in radians: the data cannot separate the two. No effect "
     "is named on a wrong base model.",
-    "gravity": "The base model has to be corrected first: gravity of another direction or size explains {share} of "
-    "the gap, as well as effects do. No effect is named on a wrong base model.",
+    "gravity": "The base model has to be corrected first: a different direction or magnitude of gravity explains "
+    "{share} of the gap, no worse than effects do. No effect is named on a wrong base model.",
     "closed_loop": "The torque of {joints} was not measured: it is the controller's response to its position error "
     "({gains} N m per rad, or N per m, without lag). Such a torque does not show its own delay or filter, the torque "
     "constant, or anything between command and shaft (back-EMF looks like viscous friction).",
     "torque_held": "The torque is updated only every {held:.3g} ms and repeated in between: the repeated samples are "
-    "late and were left out.",
-    "noise_coloured": "The noise of {joints} is coloured: there is more noise in the band than its level would mean "
-    "for white noise. The noise floor is estimated from its spectrum, to about 20 %.",
+    "late and were not used.",
+    "noise_coloured": "The noise of {joints} is coloured: there is more noise in the band than white noise of the "
+    "same level would have. The noise floor is estimated from its spectrum, to about 20 %.",
     "noise_unknown": "The torque of {joints} shows no noise of its own (smoothed or computed?): its noise floor "
-    "is unknown and taken as 1 % of the torque.",
+    "is unknown and assumed to be 1 % of the torque.",
     "at_limit": "The nearest effect is {effect}{where}, but its {quantity} is at the limit of its range: not accepted.",
     "drives": "The nearest effect is {effect}{where}, but this friction would drive the joint: not accepted.",
     "by_weight": "The nearest effect is {effect}{where}, but the joint turns so little that friction which grows with "
@@ -74,17 +74,17 @@ CAUTIONS = {
     "does_not_fall": "The nearest effect is {effect}{where}, but the fitted friction does not fall as the speed "
     "grows: it levels off, or depends on the speed in a way that is not in the catalogue.",
     "left_open": "{Effect}{where} fits, but none of its parameters differs from zero: not accepted.",
-    "any_shape": "{Effect}{where} fits equally well with any {quantity} in its range: the data do not determine it, "
-    "not accepted.",
+    "any_shape": "{Effect}{where} fits equally well with any {quantity} in its range: the data do not determine that "
+    "parameter, so the effect is not accepted.",
     "no_shrink": "{Effect}{where} fits, but it does not shrink the gap on held-out data ({share}): not accepted.",
     "no_shrink_on": "{Effect}{where} fits, but it does not shrink the gap on the held-out log {run} ({share}): "
     "not accepted.",
     "varies": "{Effect}{where} fits, but its value from {run} alone differs by {share} from that of all runs "
-    "together: the cause is something else, not accepted.",
-    "rivalled": "{Effect}{where} fits, but so do other effects in its place: the data cannot separate them, not "
-    "accepted.",
-    "not_its_own": "{Effect}{where} fits, but the same torque at other times explains {share} as much: the cause is "
-    "something else, not accepted.",
+    "together: the cause is something else, so the effect is not accepted.",
+    "rivalled": "{Effect}{where} fits, but other effects fit in its place, too: the data cannot separate them, so it "
+    "is not accepted.",
+    "not_its_own": "{Effect}{where} fits, but the same torque shifted in time explains {share} as much: the cause is "
+    "something else, so the effect is not accepted.",
     "misplaced": "The URDF has to be corrected first: another position or orientation of {joints} on the link before "
     "explains {share} of the residual.",
     "by_place": "An unmodelled disturbance pulls at the platform everywhere. The named effects were found given any "
@@ -398,7 +398,7 @@ def _located(document: Diagnosis) -> list[str]:
         kind, check = LOCATED[one.over]
         low, high = (f"{100 * value:.0f}" for value in one.share_ci95)
         place = "the platform" if one.joint is None else f"joint {one.joint}"
-        begin = "Or, which the data do not separate from that: " if one.alternative else ""
+        begin = "Alternatively (the data cannot separate the two): " if one.alternative else ""
         extremes = " and ".join(f"{_vector(e.value)} {one.unit} at {_vector(e.at)} {one.at_unit}" for e in one.extremes)
         span = "between" if len(one.extremes) > 1 else "at most"
         lines.append(

@@ -74,7 +74,7 @@ def accepted(
     """Starting from what a search found. allows: whether the data let an effect be looked for on a joint at all."""
     problem, split, given = regressors.problem, regressors.split, len(selection.none.hypothesis.terms)
     best, rejected, path = selection.best, [], []
-    progress("opening discrepancies")
+    progress("fitting discrepancies")
     pool = Pool(problem, split, best.hypothesis)
     opened = Opened.beside(pool, best)
     while effects := list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:])):

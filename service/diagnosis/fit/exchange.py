@@ -44,7 +44,7 @@ def exchanged(
     # squares; what promises to leave more is not fitted
     most = limit**2 * problem.count if explained else best.loss - PROMISE * (best.loss - problem.count)
     for parent in _fewer(regressors, selection, 2) if explained else _fewer(regressors, selection, 0, 1):
-        progress("weighing effects in place of others")
+        progress("comparing alternatives to the effects found")
         tried = [
             scored
             for scored in _tried(regressors, parent, 1 if explained else 2, most, allows)

@@ -204,7 +204,7 @@ def additions(
     """What one more effect would make of `best`, those that promise most, in the order in which they are believed; and
     what is wrong with the first of them."""
     problem, mechanism = regressors.problem, regressors.problem.recordings[0].mechanism
-    progress("weighing the catalogue")
+    progress("comparing the effects of the catalogue")
     dictionary = Dictionary(regressors, best.fitted)
     exact: list[Scored] = []
     for loss, candidate in dictionary.ranking(best.hypothesis.terms, mechanism.joints, allows)[:SHORTLIST]:

@@ -323,7 +323,7 @@ def searched(
     )
     path = [([scored.loss for scored in tried], taken and taken.loss) for tried, taken in found.path]
     tried = sum(len(losses) for losses, _ in path[0 if begun is None else len(begun.path) - 1 :])
-    assert said.count("weighing the catalogue") == len(asked)
+    assert said.count("comparing the effects of the catalogue") == len(asked)
     assert said.count("fitting an effect") == len(said) - len(asked) == tried
     return found, path
 

@@ -71,5 +71,5 @@ def test_what_cannot_be_looked_for_is_in_no_couple(wrong_gear):
     said: list[str] = []
     search, asked = wrong_gear
     found = exchanged(search, asked, LIMIT, lambda effect, joint: effect is not EFFECTS["angle_scale"], said.append)
-    assert said[0] == "weighing effects in place of others"
+    assert said[0] == "comparing alternatives to the effects found"
     assert "angle_scale" not in found.names

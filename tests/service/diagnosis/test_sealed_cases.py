@@ -136,8 +136,9 @@ def test_robots_that_the_drives_did_not_hold_are_told(
     assert len(bytes.fromhex(nonce)) == 16, "more than can be tried to find answers by their hash"
     assert [entry.get("kind") for entry in keys] == ["three", "three", None]
     assert sealed_cases.refused(keys) == [
-        f"case_001 ({', '.join(keys[1]['effects'])}): 3 draws refused, then another draw was used; joint 1 strays",
-        f"case_002 ({', '.join(keys[2]['effects'])}): 3 draws refused, then the case was given up; case_002 fell apart",
+        f"case_001 ({', '.join(keys[1]['effects'])}): 3 draws were refused, then another draw was used; joint 1 strays",
+        f"case_002 ({', '.join(keys[2]['effects'])}): 3 draws were refused, then the case was given up; "
+        "case_002 fell apart",
     ]
 
 
@@ -408,7 +409,7 @@ def test_the_families_figures_count_right() -> None:
     assert set(wanted) <= set(BOUNDS)
     late = missed(figures)
     assert len(late) == 11  # 10 of these, and calibration
-    assert "true share of the names with a probability of 90 to 100 %" in late
+    assert "share of true names among those with a probability of 90 to 100 %" in late
 
 
 def test_an_interrupted_run_goes_on_and_finishes_once(blind: Path, answered: list[dict[str, Any]]) -> None:

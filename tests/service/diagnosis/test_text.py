@@ -148,7 +148,7 @@ def test_what_the_residual_depends_on_is_told_with_what_to_check() -> None:
         "46 % [30, 62] of the residual is a force on the platform that depends on its position: 1.23 N rms, at most "
         "(9, -5, 6) N at (-0.3, 0, -0.85) m. Check what pulls or touches there: a hose, a cable, a magnet, a jet of "
         "air.",
-        "Or, which the data do not separate from that: 40 % [20, 60] of the residual is a torque in joint 2 that "
+        "Alternatively (the data cannot separate the two): 40 % [20, 60] of the residual is a torque in joint 2 that "
         "depends on its angle: 0.98 N m rms, between -2.28 N m at 0.827 rad and 2.24 N m at -0.334 rad. Check what "
         "pulls at the arm or touches it there: a cable, a stop, a cover.",
     ]
