@@ -241,8 +241,8 @@ def _check(
         joint = int(np.argmax(far))
         names = ", ".join(f"{log.name} ({load:g} kg)" for log, load in zip(logs, loads, strict=True))
         raise DataError(
-            f"{names}: joint {joint + 1} would report {scale[joint]:.2f} times the true torque, more than any torque "
-            "constant is off; is the stated load right?"
+            f"{names}: joint {joint + 1} would report {scale[joint]:.2f} times the true torque, more than a wrong "
+            "torque constant can cause; is the stated load right?"
         )
 
 
@@ -267,18 +267,18 @@ def _warnings(values: np.ndarray, errors: np.ndarray, off: np.ndarray, described
         scale, error = values[joint], errors[joint]
         if off[joint]:
             warnings.append(
-                f"joint {joint + 1}: by the known load, the drive reports {scale:.3f} +- {error:.3f} times the true "
+                f"joint {joint + 1}: with the known load, the drive reports {scale:.3f} +- {error:.3f} times the true "
                 "torque: check torque constant, rated torque and gear ratio; the description contains the factor as "
                 "torque_scale"
             )
         elif error >= TOLD:
             warnings.append(
-                f"joint {joint + 1}: the known load determines its torque constant only to {100 * error:.0f} %: left "
-                "as declared; use a heavier load or faster moves"
+                f"joint {joint + 1}: the known load determines its torque constant only to {100 * error:.0f} %: it "
+                "remains as declared; use a heavier load or faster moves"
             )
     if off[_MASS]:
         warnings.append(
-            f"mass.platform: {described + values[_MASS]:.3f} +- {errors[_MASS]:.3f} kg by the known load, "
-            f"{described:g} kg described: corrected"
+            f"mass.platform: {described + values[_MASS]:.3f} +- {errors[_MASS]:.3f} kg from the known load, "
+            f"{described:g} kg in the description: corrected"
         )
     return warnings

@@ -201,7 +201,8 @@ def _told_order(
         return [], []
     if partly:
         torques = ordered["torque"] or ordered["torque_command"]
-        line = f"only positions or torques have names: positions {_numbered(positions)}; torques {_numbered(torques)}"
+        known = f"positions {_numbered(positions)}; torques {_numbered(torques)}"
+        line = f"only the positions or only the torques bear names of the description: {known}"
         return [], [f"{line}; the description calls them {', '.join(called)}"]
     paths = [table.paths.get(name, "") for name in positions]
     known = f"; the file has {', '.join(paths)}" if all(paths) else ""
@@ -389,7 +390,8 @@ def no_torque(table: Table, columns: Sequence[str]) -> str | None:
             return None
         values = table.columns[columns[0]]
         held = f"{values[np.isfinite(values)][0]:g}" if np.isfinite(values).any() else "empty"
-        return f"{', '.join(map(repr, columns))} {'is' if len(columns) == 1 else 'are'} {held} from first to last row"
+        named = f"{', '.join(map(repr, columns))} {'is' if len(columns) == 1 else 'are'}"
+        return f"{named} {held} from the first to the last row"
     clocks = {_time(table), *table.time_of.values()}
     roles = {name: _role(name, table) for name in table.columns if name not in clocks}
     may_be = [name for name, role in roles.items() if role is None or role.startswith("torque")]

@@ -201,7 +201,7 @@ def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -
             name, joint = logs[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
             stands_out = (
                 f"{name}: does not match the other logs: the fit to those leaves {100 * held[worst]:.0f} % of its "
-                f"torque unexplained (of theirs {100 * typical:.1f} %), most on joint {joint + 1}"
+                f"torque unexplained (of their own {100 * typical:.1f} %), most on joint {joint + 1}"
             )
             hint = hints.pop(name, "")
             if hint and _taken(logs[worst], fit.without[worst], fit.noise) > TAKEN:
@@ -215,7 +215,7 @@ def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -
         worst = int(np.argmax(share))
         raise DataError(
             f"{logs[worst].name}: the model leaves {100 * share[worst]:.0f} % of the torque unexplained; "
-            "are robot description, units and joints right?"
+            "are the robot description, the units and the joints right?"
         )
     warnings += [f"{name}: {hint} Identify on motion without payload" for name, hint in hints.items()]
     return warnings + _sameness(logs)
@@ -235,7 +235,7 @@ def _loads(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -> d
         (np.abs(mean) > PAYLOAD) & (np.abs(mean) > FOREIGN * np.median(np.abs(mean))) & (np.abs(mean) > STEADY * rms)
     )
     return {
-        log.name: f"its torque fits {mean[t]:+.2f} kg more on the platform: a payload?"
+        log.name: f"its torque fits {mean[t]:+.2f} kg on the platform compared with the other logs: a payload?"
         for t, log in enumerate(logs)
         if loaded[t]
     }

@@ -49,7 +49,7 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
         return f"{robot.name} was never identified: only the textbook model can be compared.", False
     name, moments = list(pooled_by_model(results, "calm").items())[-1]
     unit = in_units_of(robot, "N m")
-    left = f"The model '{name}' leaves {_each(moments.rms)} {unit} rms"
+    left = f"The model '{name}' has a residual of {_each(moments.rms)} {unit} rms"
     noise = _noise(robot, results)
     if noise is None:
         return f"{left}; the description does not contain the noise level to compare it with.", True
@@ -71,7 +71,7 @@ def of_payload(seen: Sequence[MassLevel], common: CommonError) -> str:
     """The conclusion of a payload estimation over all logs."""
     picks = [one for one in seen if one.event == PayloadEvent.PICK]
     if not picks:
-        return "No pick was seen: no payload can be distinguished from the model's error."
+        return "No pick was detected: no payload can be distinguished from the model's error."
     masses = [one.mass for one in picks]
     span = f"{min(masses):.3f} kg" if len(picks) == 1 else f"{min(masses):.3f} to {max(masses):.3f} kg"
     random = np.median([one.random_std_dev for one in picks])
@@ -85,7 +85,7 @@ def of_payload(seen: Sequence[MassLevel], common: CommonError) -> str:
 
 def _over_noise(ratio: np.ndarray, model: str, logs: str) -> str:
     joints = named_joints([joint + 1 for joint in range(len(ratio))])
-    said = f"{model} leaves {_each(ratio)} times the noise of the torque on {logs} ({joints})"
+    said = f"{model} has a residual of {_each(ratio)} times the noise of the torque on {logs} ({joints})"
     if explains(ratio):
         return f"{said}: it explains them."
     causes = "a wrong geometry, mass or unit, a payload, an unmodelled effect"
@@ -122,7 +122,7 @@ def of_load(one: Load) -> str:
         )
     said = f"{one.trace}: {one.mass:.3f} ± {one.mass_error:.3f} kg on {one.frame}"
     if not one.centre_told:
-        return f"{said}; its centre is not identifiable: also turn the last joints with their axis level"
+        return f"{said}; its centre is not identifiable: also turn the last joints with their axes horizontal"
     said += f", centre within {1e3 * one.centre_error.max():.1f} mm"
     if not one.inertia_told:
         return f"{said}; its inertia is not identifiable: turn the last joints faster"

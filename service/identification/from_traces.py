@@ -77,20 +77,20 @@ def written(
     identified = identified_of(robot, figures, base, verdicts).model_copy(update=more)
     if robot.effect:
         names = ", ".join(dict.fromkeys(effect.name for effect in robot.effect))
-        said = f"{names}: from an earlier diagnosis, left out here; `diagnose` finds the effects that remain"
+        said = f"{names}: from an earlier diagnosis, not used here; `diagnose` finds the effects that remain"
         constants = ", `identify --carried` calibrates torque constants" if isinstance(robot, Robot) else ""
         warnings = [*warnings, said + constants]
     older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
     if fit.problem.bare and abs(base.timing) > TIMING_LIMIT * fit.problem.recordings[0].segment.period:
         warnings = [
             *warnings,
-            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}: that is part of the description "
-            "(torque_timing_s); better correct it in the drive or recorder",
+            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}: the description contains that "
+            "delay (torque_timing_s), but it is better to correct it in the drive or recorder",
         ]
     elif abs(base.timing) >= AT_LIMIT * fit.problem.apart * fit.problem.recordings[0].segment.period:
         said = (
             f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {fit.problem.apart} of a sample. "
-            "This is the fit's limit: the delay may be larger, or another effect; `deltatwin diagnose` shows more"
+            "This is the fit's limit: the delay may be larger or due to another effect; `deltatwin diagnose` shows more"
         )
         warnings = [*warnings, said]
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))

@@ -21,7 +21,7 @@ def told_of_held(held: Mapping[str, float]) -> list[str]:
         if seconds:
             logs.setdefault(f"{1e3 * seconds:.3g}", []).append(name)
     return [
-        f"{', '.join(names)}: the torque is updated only every {every} ms and repeated in between. It is used as it "
-        "is, and so late: log it with every sample; `deltatwin diagnose` leaves out the repeated samples"
+        f"{', '.join(names)}: the torque is updated only every {every} ms and repeated in between. The "
+        "repeated samples are late but used: log the torque with every sample; `deltatwin diagnose` does not use them"
         for every, names in logs.items()
     ]

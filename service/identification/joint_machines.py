@@ -62,7 +62,7 @@ def _of_log(axes: Axes | Chain, mechanism: Mechanism, rig: Rig | None, log: str)
     if rig is None:
         return mechanism
     if isinstance(axes, Chain):
-        raise RobotError(f"--rig {log}: {axes.name} is an arm: its loads are in the description, as payload")
+        raise RobotError(f"--rig {log}: {axes.name} is an arm: give its loads in the description, as payload")
     return on_rig(axes, rig, log)
 
 
@@ -88,8 +88,9 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
     if together > checks.FOREIGN_LEFT**2 * noise and together - alone > checks.FOREIGN_TOGETHER * (together - noise):
         worst = int(np.argmax(np.sum(fit.residual**2 - fit.alone**2, axis=1)))
         warnings.append(
-            f"the model fits each log alone, but not all together; {traces[worst].path.name} differs most (fitted "
-            f"alone, the residual is {percent(np.sqrt(alone / together))} of that together): two robots, or two loads?"
+            f"the model fits each log alone, but not all together; {traces[worst].path.name} differs most (with "
+            f"each log fitted alone, the residual is {percent(np.sqrt(alone / together))} of that of the common fit): "
+            "two robots, or two loads?"
         )
     warnings += _described_better(fit)
     if len(traces) == 1:
@@ -123,5 +124,5 @@ def _described_better(fit: Plain) -> list[str]:
         return []
     return [
         f"on held-out stretches the masses of the URDF leave {percent(left[1], 1)} of the torque unexplained, the "
-        f'identified ones {percent(left[0], 1)}: keep the first with masses = "known", or log more motion'
+        f'identified ones {percent(left[0], 1)}: keep those of the URDF with masses = "known", or log more motion'
     ]

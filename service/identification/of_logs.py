@@ -40,7 +40,7 @@ def identify_logs(
             raise RobotError(f"{description.origin}: --method paper: the paper's method is for a Delta robot")
         return identify_axes(description, list(logs), rigs), ()
     if any(rigs):
-        raise RobotError(f"{description.origin}: --rig: it needs servo axes; a known load of a Delta is --carried")
+        raise RobotError(f"{description.origin}: --rig: it needs servo axes; for a known load of a Delta use --carried")
     if not carried:
         model = pack(description)
         return identify(description, [summarise(model, trace) for trace in logs], method), ()

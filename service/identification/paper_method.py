@@ -58,7 +58,7 @@ def refit(logs: Sequence[NormalEquations], fit: Plain) -> Plain:
             verdict, reason = "not identifiable", "two point masses in the paper's model"
         elif verdict == "identifiable" and not error <= WEAK * abs(value):
             verdict = "weak"
-            reason = "one trajectory: no spread to judge by" if np.isnan(error) else "the trajectories disagree"
+            reason = "one trajectory only: the spread is unknown" if np.isnan(error) else "the trajectories disagree"
         std_error = float(np.nan_to_num(error))
         estimates.append(replace(estimate, value=float(value), std_error=std_error, verdict=verdict, reason=reason))
     others = [[t for t in logs if t is not log] for log in logs]

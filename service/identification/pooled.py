@@ -317,12 +317,12 @@ def _told(
     held |= np.diag(whole[0]) == 0
     if (wanted := fitted.hypothesis.base.wanted) is not None:
         reasons |= {
-            known[index].name: "held-out data are predicted as well without it"
+            known[index].name: "held-out data are predicted equally well without it"
             for index in np.flatnonzero(~wanted).tolist()
         }
     while (tolerance := _tolerance(whole[0], held)).min() < COLLINEAR:
         worst = int(np.argmin(tolerance))
-        reasons.setdefault(known[worst].name, "on these logs the other parameters explain it as well")
+        reasons.setdefault(known[worst].name, "on these logs it cannot be separated from the other parameters")
         held[worst] = True
     while True:
         values, error = _solve(*whole, held, assumed), _jackknife(left, right, held, assumed)

@@ -78,11 +78,11 @@ def propose(table: Table | Sequence[Table], robot: Description | None, stated: S
             measured = getattr(channels, role.removesuffix("_command"))
             meant = _as_measured(runs[0], names, measured, entry, units, robot.gear_ratios[0] if robot else 1.0)
             if meant is None:
-                doubts.append(f"{_listed(names)} have another unit than the measured values: left out")
+                doubts.append(f"{_listed(names)} are not in the unit of the measured values: not used")
                 channels = replace(channels, **{role: ()})
                 continue
             if meant is not entry:
-                reasons.append(f"{_listed(names)} are {named(meant)}: so their range matches the measured values")
+                reasons.append(f"{_listed(names)} are {named(meant)}: their range then matches the measured values")
                 entry = meant
         if names:
             columns[role] = [
@@ -150,7 +150,7 @@ def _reading(
             found.doubts.append(f"positions are assumed to be {positions[0]['unit']}, by their range")
     if None in found.torque.values():
         raise DataError(
-            f"{runs[0].path}: torques are {found.torque['unit']}: how many N m per unit? give it with --torque-unit"
+            f"{runs[0].path}: torques are {found.torque['unit']}: how many N m per unit? Give it with --torque-unit"
         )
     signs = [int(a * b) for a, b in zip(own, found.torque_signs, strict=True)]
     if stated.sign is not None:
@@ -234,7 +234,7 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
             if name not in table.columns:
                 raise DataError(f"{table.path}: no column {name!r}; it has: {listed}")
         if role == "torque" and (why := no_torque(table, names)):
-            raise DataError(f"{table.path}: no torque was recorded: {why}; if a column is a torque: --torque NAME")
+            raise DataError(f"{table.path}: no torque was recorded: {why}; if a column is a torque, give --torque NAME")
         if not names or (joints and len(names) != joints):
             which = "column is the" if joints == 1 else f"{joints} columns are the" if joints else "columns are the"
             many, what = ("", "NAME") if joints == 1 else ("s", "NAME,NAME,...")
@@ -266,7 +266,7 @@ def _refuse_rates(table: Table, channels: Channels, doubts: list[str]) -> None:
         if said_unit(table, name, TORQUE_UNITS) is None and is_rate(table, name, at, clock):
             line = f"{name!r} is the speed or acceleration of {at!r}"
             if not calls_itself_torque(name):
-                raise DataError(f"{table.path}: no torque was recorded: {line}; if it is a torque: --torque NAME")
+                raise DataError(f"{table.path}: no torque was recorded: {line}; if it is a torque, give --torque NAME")
             doubts.append(f"{line}, although its name says torque")
 
 

@@ -49,7 +49,7 @@ FEW = 8  # different whole numbers: more, and nothing but these, are increments
 OFTEN_WRONG = 0.25, 0.5, 2.0, 4.0  # times that a gear ratio or a number of increments is wrong
 UR_JOINT = "shoulder_pan_joint"
 UR_CURRENTS = ": the driver of Universal Robots publishes currents as effort; --torque-unit 'A CONSTANT,CONSTANT,...'"
-WHENCE = "by the masses of the description; better give it from the data sheet: --torque-unit"
+WHENCE = "from the masses of the description; it is better to give the value of the data sheet with --torque-unit"
 
 
 @dataclass(frozen=True)
@@ -280,7 +280,7 @@ class Candidates:
                 reasons.append(f"torques are {unit}: the file says so")
             elif all(WORDS["current"] & set(tokens(name)) for name in names):
                 unit = "A"
-                reasons.append("torques are currents by their names, assumed in A")
+                reasons.append("torques are currents by their names; the unit is assumed to be A")
         told = unit is not None
         if unit is None:
             unit = "N" if self._robot and self._robot.linear else "N m"
@@ -422,8 +422,8 @@ def _of_masses(robot: Chain, runs: Sequence[Run], taken: Reading) -> list[str]:
     if one is None or 1 / SAME <= one <= SAME:
         return []
     return [
-        f"by the masses of the URDF one unit of torque is {one:.3g} N m at the joint: is the unit or the constant "
-        "wrong, or is it the motor's torque?"
+        f"according to the masses of the URDF, one unit of torque is {one:.3g} N m at the joint: is the unit or the "
+        "constant wrong, or is it the motor's torque?"
     ]
 
 
@@ -480,7 +480,7 @@ def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
             lines = Lines([f"the torque of {named_joints(turned)} has the other sign"] if turned else [])
             best = replace(best, left=left, signs=flips, torque_signs=signs, of_signs=lines)
         else:
-            doubts.append(f"{line}: left as recorded")
+            doubts.append(f"{line}: the sign is kept as recorded")
     if best.share > POOR:
         doubts.append(
             f"the equations of {robot.name} leave {_percent(best.share)} of the torque unexplained: are sign, order "
@@ -539,7 +539,7 @@ def _of_delta(
     reading = Reading(position, torque, None, AS_GIVEN, AS_GIVEN)
     if not ranked:
         reading.doubts.append(
-            f"read as {named(position)} the positions are not poses of {robot.name}, or hardly change: is the zero or "
+            f"read as {named(position)}, the positions are not poses of {robot.name}, or hardly change: is the zero or "
             "the geometry wrong?"
         )
         return reading
@@ -590,12 +590,12 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
         torque["side"] = "motor"
         line = f"torques are of the motor: they fit when multiplied by the gear ratio {gear:g}"
         sure = fits and gear >= NO_ACCIDENT
-        (reasons if sure else doubts).append(line if sure else f"{line}; torques in another unit would, too")
+        (reasons if sure else doubts).append(line if sure else f"{line}; torques in another unit would fit, too")
     if side is not None and not (told and fits):
-        why = "; the fit confirms it" if fits else f"; by the masses one unit would be {fit.by_masses / side:.3g} N m"
+        why = "; the fit confirms it" if fits else f"; from the masses one unit would be {fit.by_masses / side:.3g} N m"
         why = "; the fit is poor" if fit.share >= SUSPECT else why
         by = f"torques are assumed to be N m: the file does not say{why}"
-        said_so = f"torques are N m by the file{why}" if told else by
+        said_so = f"torques are N m according to the file{why}" if told else by
         if not told or fit.share < SUSPECT:
             (reasons if fits else doubts).append(said_so)
     signs = [int(sign) for sign in reads.signs]

@@ -54,7 +54,7 @@ class Rig:
                 raise RobotError(f"--rig {text}: {key}: {value} is not possible")
         axis = given.pop("axis", 0.0)
         if axis != int(axis):
-            raise RobotError(f"--rig {text}: axis: {axis:g} is not a number of an axis")
+            raise RobotError(f"--rig {text}: axis: {axis:g} is not the number of an axis")
         return log, cls(**given, axis=int(axis))
 
 
@@ -89,10 +89,10 @@ def on_rig(axes: Axes, rig: Rig, log: str) -> OnRig:
         raise RobotError(f"--rig {log}: axis={number}: {axes.name} has {axes.count}")
     axis, mechanism = axes.axis[number - 1], DecoupledAxes.of(axes)
     if axis.unit == "m" and (rig.length or rig.inertia or rig.angle):
-        raise RobotError(f"--rig {log}: axis {number} is linear: a rig adds its mass alone")
+        raise RobotError(f"--rig {log}: axis {number} is linear: only the mass of a rig can be given")
     inertia = rig.mass if axis.unit == "m" else rig.mass * rig.length**2 + rig.inertia
     if not inertia:
-        raise RobotError(f"--rig {log}: it adds no inertia: a turning axis needs length or inertia with the mass")
+        raise RobotError(f"--rig {log}: it adds no inertia: for a rotary axis, give length or inertia with the mass")
     weight = rig.mass * GRAVITY * rig.length if axis.weighs else 0.0
     return OnRig(
         mechanism.gear_ratio, mechanism.motors, mechanism.weighs,

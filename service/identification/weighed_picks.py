@@ -308,7 +308,7 @@ def read_truth(path: Path) -> list[Pick]:
         text = read_bytes(path, MAX_TRUTH_BYTES, TraceError).decode("utf-8")
         rows = list(csv.DictReader(io.StringIO(text, newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise TraceError(f"{path}: not a table of text: {error}") from error
+        raise TraceError(f"{path}: not a text table: {error}") from error
     result = []
     for line, row in enumerate(rows, start=2):
         try:

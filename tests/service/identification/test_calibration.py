@@ -66,8 +66,8 @@ def test_torque_constants_and_platform_are_put_right(found: tuple[Calibration, l
     assert all(
         words in said
         for words in (
-            "joint 1: by the known load, the drive reports 1.05",
-            "joint 2: by the known",
+            "joint 1: with the known load, the drive reports 1.05",
+            "joint 2: with the known",
             "mass.platform: 1.4",
         )
     )

@@ -57,7 +57,7 @@ def test_a_scale_is_put_right_where_it_stands_out(
     assert (made.effect is not None) is right
     (line,) = made.warnings or [""]
     assert line.startswith(
-        "joint 2: by the known load, the drive reports"
+        "joint 2: with the known load, the drive reports"
         if right
         else "joint 2: the known load determines"
         if error > 0.03

@@ -301,7 +301,7 @@ def test_a_torque_that_never_changes_was_not_recorded() -> None:
     made = table("t,a.pos,b.pos,a.effort,b.effort")
     still = dict.fromkeys(("a.effort", "b.effort"), np.zeros(ROWS))
     made = Table(made.path, made.kind, {**made.columns, **still})
-    assert no_torque(made, guess(made, 2).torque) == "'a.effort', 'b.effort' are 0 from first to last row"
+    assert no_torque(made, guess(made, 2).torque) == "'a.effort', 'b.effort' are 0 from the first to the last row"
     assert no_torque(Table(made.path, made.kind, {**made.columns, "b.effort": rough(1)}), list(still)) is None
     empty = Table(made.path, made.kind, {**made.columns, **dict.fromkeys(still, np.full(ROWS, np.nan))})
     assert "are empty" in str(no_torque(empty, list(still)))
@@ -402,7 +402,7 @@ def test_names_of_one_of_both_are_kept_to_and_the_other_is_to_be_checked() -> No
     found = guess(table(names), 3, CALLED)
     assert list(found.position) == [f"{joint} pos" for joint in CALLED]
     assert list(found.torque) == ["tau1", "tau2", "tau3"]
-    assert "only positions or torques have names" in found.doubts[0]
+    assert "only the positions or only the torques bear names" in found.doubts[0]
     made = table("t,position0,position1,effort0,effort1")
     paths = {"position0": "zed", "position1": "alpha", "effort0": "zed", "effort1": "alpha"}
     made = Table(made.path, made.kind, made.columns, paths=paths)

@@ -55,13 +55,13 @@ OUT = "b: does not match the other logs: the fit to those leaves"
         (
             0.21,
             0.01,
-            f"{OUT} 21 % of its torque unexplained (of theirs 1.0 %), most on joint 3; does this motion excite",
+            f"{OUT} 21 % of its torque unexplained (of their own 1.0 %), most on joint 3; does this motion excite",
         ),
         (0.19, 0.01, "alike"),
         (
             0.31,
             0.10,
-            f"{OUT} 31 % of its torque unexplained (of theirs 10.0 %), most on joint 3; does this motion excite",
+            f"{OUT} 31 % of its torque unexplained (of their own 10.0 %), most on joint 3; does this motion excite",
         ),
         (0.29, 0.10, "alike"),
         (0.39, 0.10, f"{OUT} 39 %"),
@@ -89,7 +89,7 @@ def test_a_log_that_others_do_not_explain_or_that_no_fit_does_is_refused(monkeyp
         told(monkeypatch, 0.41, 0.1, hint="a load", taken=0.49)
     assert told(monkeypatch, 0.19, 0.01, hint="a load.") == ["b: a load. Identify on motion without payload", "alike"]
     assert told(monkeypatch, 0.1, 0.1, share=0.49) == ["alike"]
-    with pytest.raises(DataError, match=r"^b: the model leaves 51 % of the torque unexplained; are robot"):
+    with pytest.raises(DataError, match=r"^b: the model leaves 51 % of the torque unexplained; are the robot"):
         told(monkeypatch, 0.1, 0.1, share=0.51)
 
 
@@ -123,7 +123,8 @@ def test_a_log_is_loaded_that_steadily_asks_for_more_than_the_others(
     if spread:  # rms of 2 s, -s, -s is s sqrt 2
         by_log["b"] = mass, spread / 2**0.5
     found = checks._loads(logs, fit, 2.0)
-    assert found == ({"b": f"its torque fits {mass:+.2f} kg more on the platform: a payload?"} if loaded else {})
+    hint = f"its torque fits {mass:+.2f} kg on the platform compared with the other logs: a payload?"
+    assert found == ({"b": hint} if loaded else {})
 
 
 def test_what_a_payload_would_take_is_a_mass_a_block_by_weight_and_inertia() -> None:

@@ -37,7 +37,7 @@ def wrong(robot: Robot) -> Robot:
 
 
 def ratios(said: str) -> list[float]:
-    found = re.search(r"leaves ([\d., and]+) times the noise", said)
+    found = re.search(r"residual of ([\d., and]+) times the noise", said)
     assert found, said
     return [float(number) for number in re.findall(r"[\d.]+", found[1])]
 
@@ -76,7 +76,7 @@ def test_a_robot_that_was_never_identified_is_told_so(robot: Robot, logs: list[T
 
 def test_what_was_picked_in_a_sentence() -> None:
     common = CommonError(0.035, False)
-    assert of_payload([], common).startswith("No pick was seen")
+    assert of_payload([], common).startswith("No pick was detected")
     one = MassLevel(1.0, 2.0, 1.5, 0.05, 0.02, 0.05, 0.9, PayloadEvent.PICK)
     empty = replace(one, mass=0.0, event=PayloadEvent.RELEASE)
     assert of_payload([one, empty], common) == (

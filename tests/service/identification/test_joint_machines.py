@@ -176,9 +176,9 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, line: str, words: str) -> No
 @pytest.mark.parametrize(
     ("noise", "alone", "worst", "told"),
     [
-        (0.5, 1.5, 0.49, [f"{TOGETHER}; a.csv differs most (fitted alone, the residual is 44 %"]),
+        (0.5, 1.5, 0.49, [f"{TOGETHER}; a.csv differs most (with each log fitted alone, the residual is 44 %"]),
         (0.5, 1.5, 0.51, ["b.csv: the model leaves 51 % of the torque of axis 1", "the model fits each log alone"]),
-        (1.2, 1.85, 0.49, [f"{TOGETHER}; b.csv differs most (fitted alone, the residual is 54 %"]),
+        (1.2, 1.85, 0.49, [f"{TOGETHER}; b.csv differs most (with each log fitted alone, the residual is 54 %"]),
         (1.2, 2.25, 0.49, []),  # 70 % of what is above the noise
         (1.7, 1.5, 0.49, []),  # hardly twice the noise
         (0.5, 1.95, 0.49, []),  # alone they leave much of it too

@@ -45,7 +45,7 @@ def test_frictions_that_always_turn_together_are_not_told_apart() -> None:
     for name, whole in (("f_v", 0.5), ("f_c", 1.5)):
         own, motor = known[f"{name}_2"], known[f"{name}_motor_2"]
         (open_,) = (one for one in (own, motor) if one.verdict == "not identifiable")
-        assert open_.reason == "on these logs the other parameters explain it as well; 0 assumed"
+        assert open_.reason == "on these logs it cannot be separated from the other parameters; 0 assumed"
         assert own.value + motor.value == pytest.approx(whole, rel=0.02)
     assert known["f_v_1"].reason.startswith("joint 1 never moves")
 

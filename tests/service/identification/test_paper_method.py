@@ -111,7 +111,7 @@ def test_a_verdict_is_weak_at_best_where_trajectories_disagree_or_there_is_one(m
     assert [(one.verdict, one.reason) for one in found.estimates] == [
         ("identifiable", ""), ("weak", "the trajectories disagree"),
         ("not identifiable", "two point masses in the paper's model"),
-        ("weak", "one trajectory: no spread to judge by"), *[("identifiable", "")] * 4,
+        ("weak", "one trajectory only: the spread is unknown"), *[("identifiable", "")] * 4,
         ("not identifiable", "rests"),
     ]  # fmt: skip
     single = paper_method.refit(logs[:1], fit)

@@ -158,7 +158,7 @@ def test_what_data_left_out_do_not_want_is_none(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(result.values[rest], solved([c[:, rest] for c in columns], target), rtol=1e-6)
     for estimate in result.estimates[4:6]:
         assert (estimate.value, estimate.verdict) == (0.0, "not identifiable")
-        assert estimate.reason == "held-out data are predicted as well without it; 0 assumed"
+        assert estimate.reason == "held-out data are predicted equally well without it; 0 assumed"
 
 
 def test_what_slow_logs_leave_open_of_a_delta_stands_as_described(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -113,7 +113,7 @@ def test_an_unknown_constant_is_what_the_masses_say(geared: Robot, log: Trace, u
     (first, *_) = entries(found, "torque")
     key = "rated" if unit == "permille" else "constant"
     assert first[key] == pytest.approx(5.0 * per, rel=0.15)
-    assert any("by the masses of the description" in doubt for doubt in found.doubts)
+    assert any("from the masses of the description" in doubt for doubt in found.doubts)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("A", 0.2), ("", 2.0), ("", 0.4)])
@@ -123,7 +123,7 @@ def test_what_the_model_lacks_shrinks_no_constant(geared: Robot, log: Trace, uni
     rough = replace(log, torque=log.torque + 0.1 * np.abs(log.torque) * np.sign(speed))
     found = propose(written(rough, torque=factor), geared, Stated(torque_unit=(unit, None)) if unit else Stated())
     assert [e["constant"] for e in entries(found, "torque")] == pytest.approx([1 / factor] * 3, rel=0.05)
-    assert any("by the masses of the description" in doubt for doubt in found.doubts)
+    assert any("from the masses of the description" in doubt for doubt in found.doubts)
 
 
 def test_torque_with_stamps_of_its_own_is_read_at_those_of_the_positions(geared: Robot, log: Trace) -> None:
@@ -141,7 +141,7 @@ def test_torque_with_stamps_of_its_own_is_read_at_those_of_the_positions(geared:
 def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
     found = propose(written(log, torque=1000 / 40.0), geared, Stated(torque_unit=("permille", 40.0)))
     assert entries(found, "torque") == [{"unit": "permille", "rated": 40.0}] * 3
-    assert not any("by the masses" in doubt for doubt in found.doubts)
+    assert not any("from the masses" in doubt for doubt in found.doubts)
     found = propose(written(log, torque=1 / 0.8 / GEAR), geared, Stated(torque_unit=("A", 0.8)))
     assert entries(found, "torque") == [{"unit": "A", "constant": 0.8, "side": "motor"}] * 3
 
@@ -170,7 +170,7 @@ def test_a_joint_that_rests_leaves_nothing_to_tell(geared: Robot, log: Trace) ->
     stated = Stated(position=["q1", "q2", "q3"])
     found = propose(Table(made.path, made.kind, still), geared, stated)
     assert any("are not poses of known, or hardly change: is the zero" in doubt for doubt in found.doubts)
-    with pytest.raises(DataError, match=r"torques are A: how many N m per unit\? give it with --torque-unit"):
+    with pytest.raises(DataError, match=r"torques are A: how many N m per unit\? Give it with --torque-unit"):
         propose(Table(made.path, made.kind, still), geared, Stated(position=stated.position, torque_unit=("A", None)))
 
 
@@ -283,7 +283,7 @@ def test_a_command_is_in_the_unit_in_which_it_goes_as_far(name: str, per_metre: 
     assert entries(found, "position") == [{"unit": "m"}]
     assert found.columns.get("position_command") == (None if unit is None else [{"name": name, "unit": unit}])
     assert found.channels.position_command == (() if unit is None else [name])
-    assert any(f"{name!r} have another unit" in doubt for doubt in found.doubts) == (unit is None)
+    assert any(f"{name!r} are not in the unit" in doubt for doubt in found.doubts) == (unit is None)
     assert any(f"{name!r} are mm of the joint" in reason for reason in found.reasons) == (unit == "mm")
 
 
@@ -304,7 +304,7 @@ def test_a_torque_command_in_another_unit_than_the_torque_is_left_out() -> None:
     columns = {**made.columns, "force cmd [%]": made.columns["force"] / 8}
     found = propose(replace(made, columns=columns), AXIS, Stated())
     assert "torque_command" not in found.columns
-    assert any("'force cmd [%]' have another unit" in doubt for doubt in found.doubts)
+    assert any("'force cmd [%]' are not in the unit" in doubt for doubt in found.doubts)
 
 
 def test_increments_of_a_linear_axis_are_so_many_a_metre(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_positions_that_are_no_poses_are_told_and_nothing_is_changed(
     found = read(monkeypatch, geared)
     assert (found.share, found.signs, found.torque) == (np.inf, UP, {"unit": "N m"})
     (doubt,) = found.doubts
-    assert doubt.startswith("read as deg of the joint the positions are not poses of known, or hardly change")
+    assert doubt.startswith("read as deg of the joint, the positions are not poses of known, or hardly change")
     assert found.reasons == []
 
 
@@ -176,9 +176,9 @@ def test_a_unit_without_its_constant_gets_it_by_the_masses(
     ("share", "scale", "by_masses", "why"),
     [
         (0.09, 1.0, 1.24, "; the fit confirms it"), (0.09, 1.0, 1 / 1.24, "; the fit confirms it"),
-        (0.09, 1.0, 1.26, "; by the masses one unit would be 1.26 N m"),
-        (0.09, 1.0, 1 / 1.26, "; by the masses one unit would be 0.794 N m"),
-        (0.09, GEAR, 2.0 * GEAR, "; by the masses one unit would be 2 N m"),
+        (0.09, 1.0, 1.26, "; from the masses one unit would be 1.26 N m"),
+        (0.09, 1.0, 1 / 1.26, "; from the masses one unit would be 0.794 N m"),
+        (0.09, GEAR, 2.0 * GEAR, "; from the masses one unit would be 2 N m"),
         (0.11, 1.0, 1.0, "; the fit is poor"),
     ],
 )  # fmt: skip
@@ -191,7 +191,7 @@ def test_newton_metres_that_nobody_said_are_sure_where_the_fit_goes_with_them(
     sure = why == "; the fit confirms it"
     assert (line in found.reasons, line in found.doubts) == (sure, not sure)
     told = read(monkeypatch, geared, ranked)
-    said = f"torques are N m by the file{why}"  # and a poor fit says nothing against what stands there
+    said = f"torques are N m according to the file{why}"  # and a poor fit says nothing against what stands there
     assert (said in told.doubts) is (not sure and share < 0.1)
     assert not any(one.startswith("torques are assumed") for one in [*told.reasons, *told.doubts])
 

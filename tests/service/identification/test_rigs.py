@@ -90,7 +90,7 @@ def test_what_a_rig_adds_is_on_its_axis_alone() -> None:
         ("a.csv:mass=heavy", "mass: 'heavy' is not a number"),
         ("a.csv:mass=-1", "mass: -1 is not possible"),
         ("a.csv:mass=nan", "mass: nan is not possible"),
-        ("a.csv:mass=1,axis=1.5", "axis: 1.5 is not a number of an axis"),
+        ("a.csv:mass=1,axis=1.5", "axis: 1.5 is not the number of an axis"),
     ],
 )
 def test_a_rig_that_cannot_be_read_is_refused_with_what_is_wrong(text: str, said: str) -> None:
@@ -105,7 +105,7 @@ def test_a_rig_that_cannot_be_is_refused(bench: Path) -> None:
     for axes, rig, said in (
         (two, Rig(mass=1.0, length=1.0), "say which, such as axis=1"),
         (one, Rig(mass=1.0, length=1.0, axis=3), "axis=3: m has 1"),
-        (one, Rig(mass=1.0), "needs length or inertia"),
+        (one, Rig(mass=1.0), "give length or inertia"),
         (level, Rig(mass=1.0, length=0.1), "is linear"),
     ):
         with pytest.raises(RobotError, match=said):
