@@ -181,7 +181,7 @@ def rate_of(samples: np.ndarray) -> Rate:
     steps = np.diff(first["sequence"]).astype(np.int64)  # modulo 2^64
     rising = steps > 0
     if not rising.any():
-        raise DataError(f"no sample period: {len(first)} samples with sequence numbers that do not rise")
+        raise DataError(f"no sample period: the sequence numbers of the first {len(first)} samples do not rise")
     steps = steps[rising]
     stride = max([1, *(int(step) for step in set(steps) if np.mean(steps % step == 0) >= STRIDE_SHARE)])
     period = round(float(np.median(np.diff(stamp_ns(first))[rising] / steps) * stride) * 1e-3) * 1e-6

@@ -109,7 +109,7 @@ class EstimatorNode:
         self._estimator = estimator_of(self._robot, *rate)
         without = left_out(self._robot, rate.period)
         for name, why in without.items():
-            print(f"estimate: the online model leaves out {name}: {why}", file=sys.stderr)
+            print(f"estimate: the online model does not contain {name}: {why}", file=sys.stderr)
         self._found = HealthFlag.EFFECT_LEFT_OUT if without else HealthFlag(0)
         self._set_flags()
         if self._keeper is not None and isinstance(self._estimator, Estimator):

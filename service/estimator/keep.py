@@ -75,7 +75,7 @@ class Keeper:
         """Let `estimator`, which has heard nothing, begin with what was kept. Returns what there is to say of it."""
         kept, self._kept = self._kept, None
         if kept is None:
-            return f"{self._path}: learnt friction will be kept here"
+            return f"{self._path}: learnt friction will be stored here"
         if kept.stride != estimator.stride or abs(kept.period_s / estimator.period - 1) > SAME_PERIOD:
             return (
                 f"{self._path}: period_s {kept.period_s:g}, stride {kept.stride}, but samples come every "
@@ -89,7 +89,7 @@ class Keeper:
         )
         friction["earlier_information"] = friction["information"][LOWER]
         friction["earlier_moment"] = friction["moment"]
-        return f"{self._path}: friction as learnt {age.total_seconds() / 60:.0f} min ago, used with weight {left:.0%}"
+        return f"{self._path}: friction learnt {age.total_seconds() / 60:.0f} min ago is used with weight {left:.0%}"
 
     def note(self, estimator: Estimator) -> None:
         """Write the file if that is due, beside the estimator, not in its way."""
@@ -159,7 +159,7 @@ def _read(path: Path, name: str, digest: str) -> _Kept:
     information = np.array(kept.information)
     size = np.abs(information).max()
     if (information - information.T).max() > SYMMETRY * size:
-        raise StorageError(f"{path}: information: not symmetric, as an information matrix is; {again}")
+        raise StorageError(f"{path}: information: not symmetric, but an information matrix has to be; {again}")
     if np.linalg.eigvalsh(information)[0] < -SYMMETRY * size:
-        raise StorageError(f"{path}: information: not positive, as an information matrix is; {again}")
+        raise StorageError(f"{path}: information: not positive, but an information matrix has to be; {again}")
     return kept

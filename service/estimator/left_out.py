@@ -39,7 +39,7 @@ def _left_out(terms: Sequence[Term], robot: Robot, period: float) -> list[tuple[
         return found
     lag = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading)).lag
     if not readout.fits(reading, lag):
-        why = f"it reaches further than the {kalman.MAX_LAG} samples of {period * 1e6:g} us that are remembered"
+        why = f"it needs more than the {kalman.MAX_LAG} samples of {period * 1e6:g} us that the online model stores"
         found += [(term, why) for term in terms if type(term.effect).read_out is not Effect.read_out]
     return found
 

@@ -45,9 +45,9 @@ class ToolLoad(Effect):
     """A load on the tool of an arm other than it was: a tool that was changed, a part that was not set down."""
 
     mass: Amplitude = Amplitude("kg", "mass on the tool, now minus before")
-    moment_x: Amplitude = Amplitude("kg m", "mass times its place along x of the tool's frame, now minus before")
-    moment_y: Amplitude = Amplitude("kg m", "the same along y")
-    moment_z: Amplitude = Amplitude("kg m", "the same along z")
+    moment_x: Amplitude = Amplitude("kg m", "mass times its x coordinate in the tool's frame, now minus before")
+    moment_y: Amplitude = Amplitude("kg m", "mass times its y coordinate in the tool's frame, now minus before")
+    moment_z: Amplitude = Amplitude("kg m", "mass times its z coordinate in the tool's frame, now minus before")
     name = "tool_load"
     title = "The load on the tool has changed"
     means = "Check tool, gripper and what they hold; if the change is meant, put it into the description as payload."

@@ -105,8 +105,9 @@ def in_words(finding: WatchFinding) -> str:
     if effects:
         after, left = (float(np.hypot.reduce(values)) for values in (finding.after_nm, finding.left_nm))
         unit = finding.diagnosis.gap.unit
-        rest = "" if verdict == "explained" else ", part of it remains unexplained"
-        return f"{rise}: {'; '.join(map(_effect, effects))}; reduces it from {after:.3g} {unit} to {left:.3g}{rest}"
+        rest = "" if verdict == "explained" else "; part of it remains unexplained"
+        gap = f"the correction reduces the gap from {after:.3g} to {left:.3g} {unit}"
+        return f"{rise}: {'; '.join(map(_effect, effects))}; {gap}{rest}"
     if verdict == "within_noise":
         return f"{rise}, but within the noise of the stretch examined"
     said = [caution.code.replace("_", " ") for caution in finding.diagnosis.cannot_tell]

@@ -113,7 +113,7 @@ class Watch:
         self._anew()
         self._kept = Kept(self._robot)
         if self.learnt == learnt:
-            raise DataError(f"{trace.path}: holds no free motion of {self._robot.name} from which to learn the gap")
+            raise DataError(f"{trace.path}: contains no free motion of {self._robot.name} from which to learn the gap")
 
     def settle(self) -> None:
         """What was learnt is the level."""

@@ -104,7 +104,7 @@ class WatchNode:
             if doubt:
                 self._say(f"{doubt}: run `deltatwin diagnose` on a new log")
         elif self._state in raised and before not in raised:
-            self._say(f"gap has risen: {_figures(gap['ratio'][self._own])} times its level by joint")
+            self._say(f"gap has risen to {_figures(gap['ratio'][self._own])} times its level (by joint)")
         elif before in raised and self._state == WatchState.WATCHING:
             self._say("gap is back at its level")
 

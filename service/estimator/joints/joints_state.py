@@ -43,7 +43,7 @@ EXPECTED_JERK = 100.0  # 1/s^2
 # A fixed lag that smooths the acceleration of motion so slow; nobody waits for the load.
 SMOOTHING_LAG = 0.025  # s
 MOST_ACCELERATION = 1000.0  # 1/s of the speed limit: no drive reaches its speed within less than a millisecond
-NO_FORM = "online, joints of an arm or axes have effects only that need nothing but their present motion"
+NO_FORM = "for arms and axes, the online model contains only effects that depend on the present motion of one joint"
 POSES = 64  # at which the least inertia of a joint is looked for
 
 
@@ -174,7 +174,7 @@ def left_out(description: Axes | Chain) -> dict[str, str]:
         if not named_effects.of_own_joint(term.effect):
             found[term.effect.name] = NO_FORM
         elif several and term.effect.of_motor_turns:
-            found[term.effect.name] = "its joints have several gear ratios"
+            found[term.effect.name] = "it depends on the motor's turns, and the joints differ in gear ratio"
     return found
 
 
@@ -187,16 +187,16 @@ def check(description: Axes | Chain) -> MachineModel:
     """
     count, origin = description.count, description.origin
     if count > MOST_JOINTS:
-        raise RobotError(f"{origin}: {count} joints: online {MOST_JOINTS} at most")
+        raise RobotError(f"{origin}: {count} joints: the estimator supports at most {MOST_JOINTS}")
     if description.identified is None:
-        raise DataError(f"{origin}: no [identified] parameters: run `deltatwin identify` on logs of it first")
+        raise DataError(f"{origin}: no [identified] parameters: run `deltatwin identify` on its logs first")
     machine = machine_of(description)
     limits = machine.limits()
     for name, values, unit in (("torque", limits.torque, "N m or N"), ("speed", limits.speed, "rad/s or m/s")):
         for joint in np.flatnonzero(~np.isfinite(values) | (values <= 0)):
             raise RobotError(
-                f"{origin}: limits.{name}: none for joint {joint + 1}: online each joint needs its largest {name}, "
-                f"{unit}: [limits] {name} = [...]"
+                f"{origin}: limits.{name}: none for joint {joint + 1}: the estimator needs the largest {name} of each "
+                f"joint, {unit}: [limits] {name} = [...]"
             )
     return machine
 

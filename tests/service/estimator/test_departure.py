@@ -330,7 +330,7 @@ def test_an_hour_leaves_a_third_of_what_was_learnt(robot, kept):
     information = np.diag([0.0, *range(1, COUNT)]).astype(float)
     change(path, written_at=ago(hours=1), information=information.tolist(), moment=[0.0, *[2.0] * (COUNT - 1)])
     estimator = Estimator(robot, PERIOD)
-    assert "60 min ago, used with weight 37%" in Keeper(path, robot).begin(estimator)
+    assert "60 min ago is used with weight 37%" in Keeper(path, robot).begin(estimator)
     found = robot.identified
     prior = departure.drift(np.array(found.viscous_friction_nms.value), np.array(found.coulomb_friction_nm.value))
     left = departure.aged(information, np.array([0.0, *[2.0] * (COUNT - 1)]), prior, np.exp(-1.0))

@@ -81,7 +81,7 @@ def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, r
     )
     bench.take(known.samples)
     told, health = bench.report()
-    assert "learnt friction will be kept here" in capsys.readouterr().err
+    assert "learnt friction will be stored here" in capsys.readouterr().err
     assert len(told["payload"]) > 2900
     assert (np.diff([one["sequence"] for one in told["payload"]]) == 1).all(), "no more than a thousand a second come"
     assert (told["friction"][-1]["drift"] > robot.limits.friction_drift).any() == drifted
