@@ -6,7 +6,7 @@ import textwrap
 from typing import Literal
 
 from schemas.diagnosis import OnlineFigures, OnlineTrial
-from schemas.words import percent, significant, words
+from schemas.words import counted, percent, significant, words
 
 Standing = Literal["better", "same", "worse"]
 
@@ -65,7 +65,7 @@ def sentences_of(trial: OnlineTrial) -> list[str]:
         f"{BEGINS[found]} estimates the mass correctly, from 150 ms on, after {better.right} of {trial.changes} "
         f"changes of the load (identified: {known.right}), trusts its estimate {percent(better.trusted)} of the time "
         f"({percent(known.trusted)}), "
-        f"reports {better.false_events} false events ({known.false_events}), and its feed-forward is {off}."
+        f"reports {counted(better.false_events, 'false event')} ({known.false_events}), and its feed-forward is {off}."
     )
     where = ", ".join(trial.traces)
     source = f"loads simulated along {where}" if trial.simulated else f"the loads of {where}"

@@ -190,7 +190,7 @@ def test_it_says_plainly_what_is_worse_and_what_to_do_then() -> None:
     assert good == [
         "The estimator works better with the corrected description: it estimates the mass correctly, from 150 ms "
         "on, after 9 of 10 changes of the load (identified: 5), trusts its estimate 50 % of the time (50 %), reports 1 "
-        "false events (1), and its feed-forward is off by 10 times the noise (identified: 10).",
+        "false event (1), and its feed-forward is off by 10 times the noise (identified: 10).",
         "Tried on loads simulated along fit_a, which were also used for the fit.",
     ]
     assert bad[0].startswith(
