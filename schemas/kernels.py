@@ -40,11 +40,6 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return compiled
 
 
-def compile_inside(kernel: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile `kernel` for these Numba types as another kernel would have it that calls it."""
-    kernel.inside.compile(arguments)
-
-
 def _compiled(function: Callable[..., Any], options: dict[str, Any], ending: str = "") -> Any:
     """ending: of the name under which it is kept."""
     flags: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True} | options

@@ -38,8 +38,8 @@ from service.identification.loops import loops_of, position_errors
 from service.identification.noise import Floor
 from service.identification.torque_source import command_ahead, is_commanded
 from service.model.description import hypothesis_of
-from service.model.effects.base import Effect, Readout
-from service.model.hypothesis import Hypothesis, Term
+from service.model.effects.base import Effect
+from service.model.hypothesis import Term, read_out
 from service.model.mechanism import mechanism_of
 from service.model.scene import Recording
 from service.model.signals import fresh, segments_of
@@ -118,20 +118,13 @@ def diagnose(
         gap = evaluate(problem, reference).residuals
     verdict = _verdict(problem, selection, given, after, limit)
     commanded = all(is_commanded(trace) for trace in traces)
-    ahead = None if commanded else _command_ahead(selection.best.hypothesis, traces)
+    model = selection.best.hypothesis
+    ahead = None if commanded else command_ahead(traces, read_out(model.terms, model.base.timing))
     return Findings(
         robot, problem, split, plain, reference, selection, given, gap, after, floor.sample,
         commanded, ahead, reversal, values.errors, verdict, limit,
         [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
     )  # fmt: skip
-
-
-def _command_ahead(best: Hypothesis, traces: Sequence[Trace]) -> float | None:
-    """As `command_ahead`, of what `best` says of the report."""
-    readout = Readout(late=best.base.timing)
-    for term in best.terms:
-        term.effect.read_out(readout, term.nonlinear)
-    return command_ahead(traces, readout)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ import numba
 import numpy as np
 
 from schemas.errors import DataError
-from schemas.kernels import compile_inside
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, HealthFlag, stamp_ns
 from schemas.robot import Robot
 from service.estimator import state
@@ -163,7 +162,7 @@ def compile_payload(asking: int) -> None:
             return
     gc.disable()  # the compiler leaves next to no garbage, and looking for it takes a tenth of the time
     step = np.zeros(1, state.STEP)[0]
-    compile_inside(payload_kernel, tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
+    payload_kernel.inside.compile(tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
 
 
 def _is_compiled() -> bool:

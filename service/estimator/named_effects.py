@@ -20,7 +20,7 @@ from service.model.description import terms_of
 from service.model.effects import CATALOGUE
 from service.model.effects.base import Effect, Readout
 from service.model.effects.transmission import Transmission
-from service.model.hypothesis import Term, correction_of
+from service.model.hypothesis import Term, correction_of, read_out
 from service.model.nominal import pack
 
 MAX_EFFECTS = 12
@@ -85,10 +85,7 @@ def goes_by_load(terms: Sequence[Term]) -> bool:
 
 def readout_of(robot: Robot, terms: Sequence[Term]) -> Readout:
     """What lies between the torque that acts on `robot` and the one that is reported, of `terms` among its effects."""
-    readout = Readout(late=0.0 if robot.identified is None else robot.identified.torque_timing_s)
-    for term in terms:
-        term.effect.read_out(readout, term.nonlinear)
-    return readout
+    return read_out(terms, 0.0 if robot.identified is None else robot.identified.torque_timing_s)
 
 
 def of_own_joint(effect: Effect) -> bool:

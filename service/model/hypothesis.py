@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.model.effects.base import Effect, Inside
+from service.model.effects.base import Effect, Inside, Readout
 from service.model.nominal import Correction, leaning
 from service.model.scene import Base, Recording, Scene
 
@@ -64,6 +64,14 @@ def correction_of(terms: Sequence[Term]) -> Correction:
         for place, amplitude in zip(term.places, term.amplitude, strict=True):
             term.effect.correct(correction, place, amplitude)
     return correction
+
+
+def read_out(terms: Sequence[Term], late: float) -> Readout:
+    """What lies between the torque that acts and the reported one. late: s, of the report without effects."""
+    readout = Readout(late=late)
+    for term in terms:
+        term.effect.read_out(readout, term.nonlinear)
+    return readout
 
 
 def inside_of(terms: Sequence[Term]) -> Inside:
