@@ -103,7 +103,7 @@ def test_gravity_of_another_direction_is_a_wrong_base_and_no_hose(write: Write) 
     found = document.document(diagnose.diagnose(robot, traces, effects))
     assert found.effects == []
     assert found.cannot_tell[0].code == "gravity"
-    assert "another direction" in " ".join(sentences(found))
+    assert "different direction" in " ".join(sentences(found))
 
 
 def test_a_log_already_corrected(write: Write, diagnosed, tmp_path: Path) -> None:
