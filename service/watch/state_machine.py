@@ -8,9 +8,11 @@ from collections import deque
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
+from pathlib import Path
 
 import numpy as np
 
+from drivers.motion import HOME
 from schemas.axes_description import Description
 from schemas.errors import DataError, TraceError
 from schemas.messages import NANOSECONDS, TOPICS, WatchState, set_stamp, stamp_ns
@@ -95,6 +97,14 @@ class Watch:
     def raised(self) -> bool:
         """Whether the gap is higher than it should be."""
         return self.state in (WatchState.RAISED, WatchState.DIAGNOSING)
+
+    def warm_up(self) -> None:
+        """Compile, without touching the state: a first look that compiles would take longer than a Ctrl-C may wait."""
+        time = np.arange(0.0, 2.0 * self._due, 1e-3)
+        swing = HOME + 0.1 * np.sin(2.0 * np.pi * time)
+        motion = np.tile(swing[:, None], (1, self._robot.count))
+        made_up = Trace(Path("made-up swing"), time, motion, np.zeros_like(motion))
+        Watch(self._robot).add(made_up.samples(TOPICS[self._robot.topics.sample]))
 
     def learn(self, trace: Trace, payload: np.ndarray) -> None:
         """Take the level from a log. payload: (M,) PAYLOAD or LOAD records of it. Call `settle` after the last.

@@ -18,10 +18,13 @@ from schemas.chain_description import Chain
 from schemas.messages import JOINT_SAMPLE, LOAD, OF_JOINTS, FindingVerdict, HealthFlag, Role, WatchState
 from schemas.trace import Trace
 from service.identification.joint_machines import identify_axes
+from service.model.hypothesis import Hypothesis
+from service.model.scene import Scene
+from service.model.torque import predict
 from service.monitor.monitor_node import Monitor
 from service.monitor.readback import read_recording
 from service.monitor.writer import WriterThread
-from service.watch import watch_node
+from service.watch import live_gap, watch_node
 from service.watch.changed_effect import ToolLoad
 from service.watch.examine import examine
 from service.watch.kept import EARLY_ARM_S, Kept
@@ -29,6 +32,7 @@ from service.watch.state_machine import RISEN, Patience, Rise, Watch
 from service.watch.watch_node import Examination, WatchNode
 from tests.service import arm
 from tests.service.sines import sines
+from tests.service.watch.logs import KNOWN
 
 PERIOD, ONSET, SECONDS = 4e-3, 18.0, 34.0
 PATIENCE = Patience(learn=8.0, after=9.0)
@@ -93,6 +97,26 @@ def through(robot: Description, trace: Trace) -> tuple[np.ndarray, Rise | None]:
         told += watch.add(samples[k : k + 125])
         rise = rise or watch.rise()
     return np.concatenate(told), rise
+
+
+@pytest.mark.parametrize("machine", ["delta", "rad", "m", "small"])
+def test_what_a_look_needs_is_compiled_before_the_first_sample(
+    machine: str, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    """A look whose robot moves predicts its torque; one that stands still compiles nothing, and the next one has to."""
+    robot = KNOWN if machine == "delta" else request.getfixturevalue("small") if machine == "small" else _axes(machine)
+    predicted: list[Hypothesis] = []
+
+    def noted(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
+        predicted.append(hypothesis)
+        return predict(scene, hypothesis)
+
+    monkeypatch.setattr(live_gap, "predict", noted)
+    watch = Watch(robot)
+    watch.warm_up()
+    assert predicted
+    assert watch.learnt == 0.0
+    assert watch.state == WatchState.LEARNING
 
 
 @pytest.mark.parametrize("unit", ["rad", "m"])
