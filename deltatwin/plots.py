@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 
 from schemas.messages import PayloadEvent
 from service.model.description import in_units_of
-from service.pages import LOG_AXIS, under_buttons
+from service.pages import logarithmic, under_buttons
 from service.pages.palette import JOINTS, Colour, faint
 
 if TYPE_CHECKING:
@@ -64,7 +64,8 @@ def of_identification(result: IdentificationResult) -> go.Figure:
             rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(known.sum(axis=0), 1))
             figure.add_bar(x=joints, y=rms, name=name, marker_color=colour)
     figure.add_bar(x=joints, y=fit.noise_floor, name="noise", marker_color=Colour.NOISE)
-    figure.update_yaxes(title_text=f"rms, {unit}", **LOG_AXIS)
+    figure.update_yaxes(title_text=f"rms, {unit}")
+    logarithmic(figure, "y")
     return figure.update_layout(barmode="group", height=320)
 
 
@@ -115,7 +116,8 @@ def of_load(result: LoadResult) -> go.Figure:
     figure = go.Figure()
     figure.add_bar(x=joints, y=one.before, name="without the load", marker_color=Colour.BEFORE)
     figure.add_bar(x=joints, y=one.after, name="with it", marker_color=Colour.AFTER)
-    figure.update_yaxes(title_text=f"residual, rms, {in_units_of(result.robot, 'N m')}", **LOG_AXIS)
+    figure.update_yaxes(title_text=f"residual, rms, {in_units_of(result.robot, 'N m')}")
+    logarithmic(figure, "y")
     return figure.update_layout(barmode="group", height=320)
 
 

@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 
 CONFIG = {"responsive": True, "displaylogo": False}
 LOOK = {"font": {"size": 12}, "margin": {"l": 60, "r": 20, "t": 40, "b": 45}}  # of plots that say nothing else
-_TICKS = [digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5)]
-LOG_AXIS: dict[str, Any] = {"type": "log", "tickvals": _TICKS, "ticktext": [f"{tick:g}" for tick in _TICKS]}  # Plotly
-# itself says 5 for .05
+POWERS = range(-12, 13)  # of ten, that a logarithmic axis has ticks at
+CLOSE = 3.0  # decades of an axis on which ticks at 1, 2 and 5 have room
 NONCE = secrets.token_urlsafe(16)  # of this process's pages: a script that a log's text smuggles in does not have it
 # What a page may do: run our scripts, draw, and nothing over a network.
 POLICY = (
@@ -46,6 +45,33 @@ PROGRAM = "plotly-cartesian.min.js.gz"  # plotly.js with lines, bars and maps al
 DEFAULT_HEIGHT = 450  # px, Plotly's
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")  # that print without a window
 PRINTING_S = 120.0  # a page takes seconds
+
+
+def logarithmic(figure: go.Figure, letter: Literal["x", "y"], row: int | None = None) -> None:
+    """Make the x or y axes of a row of plots, or of all of them, logarithmic, with ticks that do not cover each other.
+
+    Plotly itself would say 5 for 0.05.
+    """
+    drawn = [np.asarray(getattr(trace, letter), float) for trace in figure.select_traces(row=row)]
+    values = np.concatenate([one[one > 0.0] for one in drawn])
+    far = values.size > 0 and np.log10(values.max() / values.min()) > CLOSE
+    ticks = [(digit, power) for power in POWERS for digit in ((1,) if far else (1, 2, 5))]
+    axis = {
+        "type": "log",
+        "tickvals": [digit * 10.0**power for digit, power in ticks],
+        "ticktext": [_magnitude(digit, power) for digit, power in ticks],
+    }
+    if letter == "x":
+        figure.update_xaxes(axis, row=row)
+    else:
+        figure.update_yaxes(axis, row=row)
+
+
+def _magnitude(digit: int, power: int) -> str:
+    plain = f"{digit * 10.0**power:g}"
+    if "e" not in plain:
+        return plain
+    return (f"{digit}×" if digit > 1 else "") + f"10<sup>{power}</sup>"
 
 
 @dataclass(frozen=True)

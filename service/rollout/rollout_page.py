@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from schemas.robot import Robot
 from schemas.rollout_document import LogInterruption, Reached, RegimeReached, RolloutDocument
 from schemas.words import counted, significant
-from service.pages import LOG_AXIS, Headline, write_page
+from service.pages import Headline, logarithmic, write_page
 from service.pages.palette import EFFECTS, Colour
 from service.rollout.gap import REGIMES, Deviation, Rollout, rms
 from service.rollout.packed import left_out
@@ -224,7 +224,8 @@ def growth(result: RolloutDocument) -> go.Figure:
         dash = "dot" if robot is result.floor else "solid"
         figure.add_scatter(x=times, y=robot.growth_mm[1:], name=robot.robot, line={"color": colour, "dash": dash})
     figure.update_xaxes(title_text="time from the start of a window, ms")
-    figure.update_yaxes(title_text="rms error of the platform, mm", **LOG_AXIS)
+    figure.update_yaxes(title_text="rms error of the platform, mm")
+    logarithmic(figure, "y")
     figure.update_layout(height=380)
     return figure
 
@@ -235,7 +236,8 @@ def _by_regime(result: RolloutDocument) -> go.Figure:
     for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):
         values = [entry.joint_mrad[robot.robot] for entry in result.regimes]
         figure.add_bar(x=labels, y=values, name=robot.robot, marker_color=colour)
-    figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad", **LOG_AXIS)
+    figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad")
+    logarithmic(figure, "y")
     figure.update_layout(barmode="group", height=420)
     return figure
 

@@ -20,7 +20,7 @@ from service.identification.frequency import cross_density
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
 from service.model.torque import predict
-from service.pages import LOG_AXIS, under_buttons, write_page
+from service.pages import logarithmic, under_buttons, write_page
 from service.pages.palette import EFFECTS, Colour
 
 BINS = 24
@@ -229,11 +229,11 @@ def _response(document: Diagnosis) -> go.Figure | None:
             x=one.hz, y=one.coherence, name="coherence", showlegend=column == 1, line={"color": Colour.NOISE}
         )
         figure.add_trace(coherence, row=3, col=column)
-    figure.update_xaxes(**LOG_AXIS)
+    logarithmic(figure, "x")
     figure.update_xaxes(title_text="frequency, Hz", row=3)
-    figure.update_yaxes(row=1, **LOG_AXIS)
+    logarithmic(figure, "y", row=1)
     figure.update_yaxes(row=2, range=[-180, 180], tickvals=[-180, -90, 0, 90, 180])
-    figure.update_yaxes(row=3, range=[0, 1.02])
+    figure.update_yaxes(row=3, range=[-0.15, 1.05])  # so that 0 and the first frequency stand apart
     for row, title in enumerate((every[0].unit, "phase, °", "coherence"), start=1):
         figure.update_yaxes(title_text=title, row=row, col=1)
     figure.update_layout(under_buttons(560, titles=True))
@@ -259,8 +259,9 @@ def _spectrum(findings: Findings) -> go.Figure:
         )  # fmt: skip
         figure.add_trace(noise, row=1, col=joint + 1)
     figure.add_vrect(x0=findings.problem.band.cutoff_hz, x1=frequency[-1], fillcolor="#59636e", opacity=0.08)
-    figure.update_xaxes(title_text="frequency, Hz", **LOG_AXIS)
-    figure.update_yaxes(**LOG_AXIS)
+    logarithmic(figure, "x")
+    figure.update_xaxes(title_text="frequency, Hz")
+    logarithmic(figure, "y")
     figure.update_yaxes(title_text=f"{in_units_of(findings.robot, 'N m')} / √Hz", col=1)
     figure.update_layout(under_buttons(370, titles=True))
     return figure

@@ -116,8 +116,21 @@ def diagnosis(rng: np.random.Generator) -> Diagnosis:
             "base": {"rho_1": {"value": 1.1, "unit": "", "ci95": [1.0, 1.2]}},
             "where": {"joints": where, "left_out_at_rest_and_ends": share(rng), "bursts": [], "bursts_rhythm_s": None,
                       "worst_runs": [{"run": "pick", "after_over_noise": 2.0}]},
+            "frequency_response": [response(rng, joint + 1, unit) for joint in range(joints)],
         }
     )  # fmt: skip
+
+
+def response(rng: np.random.Generator, joint: int, unit: str) -> dict[str, Any]:
+    """Of a joint: a few decades of magnitude, or many, as beyond what the drive follows."""
+    hz, decades = np.geomspace(1.0, 500.0, 30), float(rng.uniform(0.5, 7.0))
+    names = ("measured", "before", "after")
+    fallen = {name: 0.2 * (hz / hz[0]) ** (-decades / 2.7) * rng.uniform(0.5, 2.0, len(hz)) for name in names}
+    return {
+        "joint": joint, "unit": f"rad/({unit} s)", "hz": hz.tolist(), "coherence": rng.uniform(size=len(hz)).tolist(),
+        "magnitude": {name: values.tolist() for name, values in fallen.items()},
+        "phase_deg": {name: rng.uniform(-180.0, 180.0, len(hz)).tolist() for name in names},
+    }  # fmt: skip
 
 
 def write_drawn_diagnosis(rng: np.random.Generator, path: Path) -> Diagnosis:
