@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from schemas.words import words
 from service.cli.options import AsJson, OwnEffects, robot_file
 from service.cli.output import as_json, console, say_headline, table
 from service.cli.progress import bars
@@ -234,9 +235,7 @@ def _in_words(robot: Robot) -> str:
     """The effects of a description with their joints."""
     from schemas.diagnosis import named_joints
 
-    told = [
-        one.name.replace("_", " ") + (f" in {named_joints(one.joints)}" if one.joints else "") for one in robot.effect
-    ]
+    told = [words(one.name) + (f" in {named_joints(one.joints)}" if one.joints else "") for one in robot.effect]
     return ", ".join(told) or "no effect was named, so this is the rigid model again"
 
 
@@ -245,7 +244,7 @@ def _left_out(robot: Robot) -> list[str]:
     from service.estimator.named_effects import carried
     from service.model.description import terms_of
 
-    return [term.effect.name.replace("_", " ") for term in terms_of(robot) if not carried(term.effect)]
+    return [words(term.effect.name) for term in terms_of(robot) if not carried(term.effect)]
 
 
 def _figures(run: Tracking) -> dict[str, object]:

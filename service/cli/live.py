@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from schemas.words import words
 from service.cli.output import Table, table
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ class Roles:
             flags = HealthFlag(int(said["flags"]))
             ended = bool(flags & HealthFlag.STOPPED)
             state = "[yellow]ended[/yellow]" if ended else "runs" if number in alive else "[red]gone[/red]"
-            told = [flag.name.lower().replace("_", " ") for flag in HealthFlag if flags & flag and flag.name]
+            told = [words(flag.name.lower()) for flag in HealthFlag if flags & flag and flag.name]
             latency = [f"{1e6 * said[key]:.0f}" for key in ("latency_median", "latency_p99", "latency_max")]
             yield (
                 name, state, f"{said['received']}, {said['published']}", str(said["lost"]),

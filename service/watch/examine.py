@@ -17,6 +17,7 @@ from schemas.diagnosis import NamedEffect, named_joints
 from schemas.files import make_folder, write_text
 from schemas.finding import WatchFinding
 from schemas.trace import Trace
+from schemas.words import words
 from service.diagnosis.documents.document import corrected, document
 from service.diagnosis.pipeline import diagnose
 from service.identification.fit import evaluate
@@ -110,7 +111,7 @@ def in_words(finding: WatchFinding) -> str:
         return f"{rise}: {'; '.join(map(_effect, effects))}; {gap}{rest}"
     if verdict == "within_noise":
         return f"{rise}, but within the noise of the stretch examined"
-    said = [caution.code.replace("_", " ") for caution in finding.diagnosis.cannot_tell]
+    said = [words(caution.code) for caution in finding.diagnosis.cannot_tell]
     return f"{rise}: no effect of the catalogue explains it{f' ({said[0]})' if said else ''}"
 
 
@@ -122,12 +123,12 @@ def _when(seconds: float) -> str:
 
 def _effect(effect: NamedEffect) -> str:
     figures = [
-        f"{name} {one.value:.3g} ± {(one.ci95[1] - one.ci95[0]) / 2:.2g} {one.unit}"
+        f"{words(name)} {one.value:.3g} ± {(one.ci95[1] - one.ci95[0]) / 2:.2g} {one.unit}"
         for name, one in list(effect.parameters.items())[:WORDS]
     ]
-    where = f" on {named_joints(effect.joints)}" if effect.joints else ""
-    doubt = f", or {' or '.join(effect.confusable_with)}" if effect.confusable_with else ""
-    return f"{effect.name}{where} ({', '.join(figures)}{doubt})"
+    where = f" in {named_joints(effect.joints)}" if effect.joints else ""
+    doubt = f", or {' or '.join(map(words, effect.confusable_with))}" if effect.confusable_with else ""
+    return f"{words(effect.name)}{where} ({', '.join(figures)}{doubt})"
 
 
 def _parts(trace: Trace, count: int, robot: Description) -> list[Trace]:

@@ -28,7 +28,7 @@ def test_a_change_of_friction_is_named_as_one_and_measured() -> None:
     assert finding.compared
     assert finding.after_nm[2] > 2 * finding.before_nm[2]
     assert finding.left_nm[2] == pytest.approx(finding.before_nm[2], rel=0.1)
-    assert "friction_level on joint 3" in finding.text
+    assert "friction level in joint 3" in finding.text
 
 
 def test_where_the_positions_jump_is_left_out() -> None:

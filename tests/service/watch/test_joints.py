@@ -216,7 +216,7 @@ def test_a_change_of_an_axis_is_found_published_stored_and_recorded(
                 time.sleep(0.01)
             assert any("gap has risen" in line for line in said), said
             give_up = time.monotonic() + LONGEST_S
-            while not any("friction_level" in line for line in said):
+            while not any("friction level" in line for line in said):
                 assert time.monotonic() < give_up, said
                 monitor.step()
                 role.step()
