@@ -17,9 +17,8 @@ line.
 Nothing large is imported before it is used.
 """
 
-from __future__ import annotations
-
-TYPE_CHECKING = False  # that of `typing`, which takes longer to import than all of this
+# Nothing is imported here, `__future__` is a file too: a program that Ctrl-C reaches in these lines cannot hear it.
+TYPE_CHECKING = False  # that of `typing`
 if TYPE_CHECKING:
     from typing import Any
 
@@ -75,7 +74,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name == "__version__":
         from importlib.metadata import version
 

@@ -1,6 +1,4 @@
-"""Where the `deltatwin` program begins: what ends it is heard before anything large is imported."""
-
-from __future__ import annotations
+"""Where the `deltatwin` program begins: what ends it is heard before anything is read from a file."""
 
 import atexit
 import os
