@@ -13,7 +13,7 @@ from service.cli.output import as_json, console, say_headline, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rich.progress import Progress
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from schemas.messages import HealthFlag
     from schemas.robot import Robot
     from schemas.trace import Trace
-    from service.experiment.live_loop import Subject, Tracking
+    from service.experiment.live_loop import Ratio, Subject, Tracking
 
 LOGS, LOG_S = 4, 6.0  # to identify on: how many, and the length of each, s
 
@@ -127,15 +127,7 @@ def command(
     write_page(report, out / "closed_loop.html")
     write_pictures(report.drawings, out, "closed_loop")
     counts = not any(run.spoilt for run in judged)
-    text = as_json(
-        "closed-loop",
-        {
-            "robot": which,
-            "counts": counts,
-            "platform_ratio": {"value": compared.value, "ci95": [compared.low, compared.high]},
-            "runs": [_figures(run) for run in runs],
-        },
-    )
+    text = _as_text(which, counts, compared, runs)
     write_text(out / "closed_loop.json", text)
     if json:
         typer.echo(text)
@@ -146,6 +138,17 @@ def command(
         say_headline(headline)
     if not counts:
         raise typer.Exit(MISSED)
+
+
+def _as_text(which: str, counts: bool, compared: Ratio, runs: Sequence[Tracking]) -> str:
+    """The result as JSON."""
+    values = {
+        "robot": which,
+        "counts": counts,
+        "platform_ratio": {"value": compared.value, "ci95": [compared.low, compared.high]},
+        "runs": [_figures(run) for run in runs],
+    }
+    return as_json("closed-loop", values)
 
 
 def _learn(

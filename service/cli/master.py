@@ -14,8 +14,11 @@ from service.cli.output import in_quantiles
 if TYPE_CHECKING:
     import numpy as np
 
+    from drivers.bus import Bus
     from drivers.ethercat.soem_master import Counts
     from drivers.health import Health
+    from drivers.motion import Planner, Trajectory
+    from schemas.messages import HealthFlag
     from schemas.robot import Robot
     from service.feedforward_source import InCycle, OverBus, Steps
 
@@ -74,15 +77,12 @@ def command(
 
     import numpy as np
 
-    from drivers.bus import Bus, open_bus
     from drivers.ethercat.master_health import Report
     from drivers.ethercat.setpoints import SetpointPlan
-    from drivers.health import Health
     from drivers.motion import Planner
     from replay.clock import wait_until
     from replay.realtime import go_realtime
-    from schemas.errors import BusError, RoleTakenError
-    from schemas.messages import Role, StopReason
+    from schemas.messages import StopReason
     from service.cli.progress import counting
     from service.estimator.bounds import bounds_of
     from service.feedforward_source import InCycle, OverBus, goes_ahead, nothing
@@ -91,15 +91,8 @@ def command(
     period = 1 / rate
     twists = feedforward != OFF and goes_ahead(description)
     peak, slope = bounds_of(description)
-    planner = Planner(description, period)
-    if motion is None:
-        planned = planner.pick_and_place(
-            np.random.default_rng(seed), duration, masses=(1.0,) if carry else (), speed=speed
-        )
-    else:
-        from drivers.motion_file import read_motion
-
-        planned = read_motion(motion, description, planner)
+    masses = (1.0,) if carry else ()
+    planned = _planned(motion, description, Planner(description, period), seed, duration, masses, speed)
     course = SetpointPlan(planned, description.geometry.joint_range_rad)
     sent = np.zeros(len(course), np.int64)
     with ExitStack() as stack:
@@ -108,15 +101,8 @@ def command(
         if feedforward not in (BUS, OFF):
             torque = InCycle(_steps(feedforward, description, period))
         standing = go_realtime("master")
-        bus: Bus | None = None
-        health: Health | None = None
-        try:
-            bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure, ros_domain))
-            health = stack.enter_context(Health(bus, standing))
-        except BusError as error:
-            if feedforward == BUS or zenoh_config is not None or isinstance(error, RoleTakenError):
-                raise  # two masters would fight for the drives
-            typer.echo(f"master: {error}; it continues without publishing its health", err=True)
+        needed = feedforward == BUS or zenoh_config is not None
+        bus, health = _said_on(stack, needed, standing, description.name, zenoh_config, insecure, ros_domain)
         if feedforward == BUS and bus:
             torque = OverBus(bus, peak, period)
         done, interrupted = 0, False
@@ -148,6 +134,40 @@ def command(
     typer.echo(summary(done, len(plan), master.counts, sent[:done]))
     if torque:
         typer.echo(torque.summary())
+
+
+def _planned(
+    motion: Path | None, description: Robot, planner: Planner, seed: int, duration: float, masses: tuple[float, ...],
+    speed: float,
+) -> Trajectory:  # fmt: skip
+    """The motion of a file, or else a pick-and-place."""
+    import numpy as np
+
+    from drivers.motion_file import read_motion
+
+    if motion is not None:
+        return read_motion(motion, description, planner)
+    return planner.pick_and_place(np.random.default_rng(seed), duration, masses=masses, speed=speed)
+
+
+def _said_on(
+    stack: ExitStack, needed: bool, standing: HealthFlag, name: str, zenoh_config: Path | None, insecure: bool,
+    ros_domain: int | None,
+) -> tuple[Bus | None, Health | None]:  # fmt: skip
+    """The bus and the health that is published on it; none of either where there is no bus and it is not `needed`."""
+    from drivers.bus import open_bus
+    from drivers.health import Health
+    from schemas.errors import BusError, RoleTakenError
+    from schemas.messages import Role
+
+    try:
+        bus = stack.enter_context(open_bus(name, Role.MASTER, zenoh_config, insecure, ros_domain))
+        return bus, stack.enter_context(Health(bus, standing))
+    except BusError as error:
+        if needed or isinstance(error, RoleTakenError):
+            raise  # two masters would fight for the drives
+        typer.echo(f"master: {error}; it continues without publishing its health", err=True)
+        return None, None
 
 
 def _steps(feedforward: str, robot: Robot, period: float) -> Steps:

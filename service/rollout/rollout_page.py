@@ -148,6 +148,11 @@ def strange(result: RolloutDocument) -> bool:
 
 def sentences(result: RolloutDocument) -> list[str]:
     """What a reader should know first."""
+    return [*_of_errors(result), *_of_payload(result), *_of_windows(result), *_of_robots(result)]
+
+
+def _of_errors(result: RolloutDocument) -> list[str]:
+    """How far the platform goes astray, from what."""
     horizon = f"{1e3 * result.horizon_s:.0f} ms"
     shown = _simulated(result)
     lines = []
@@ -183,6 +188,11 @@ def sentences(result: RolloutDocument) -> list[str]:
             f"Torque noise and start state alone give {significant(result.floor.platform_mm)} mm; "
             f"the platform moves {significant(result.path_mm)} mm in that time."
         )
+    return lines
+
+
+def _of_payload(result: RolloutDocument) -> list[str]:
+    lines = []
     masses = [mass for mass in result.payload_kg if mass]
     if masses:
         least, most = f"{min(masses):.3g}", f"{max(masses):.3g}"
@@ -193,6 +203,12 @@ def sentences(result: RolloutDocument) -> list[str]:
         )
     if len(masses) == result.windows:
         lines.append("No window is without payload: a tool that the description lacks would look the same.")
+    return lines
+
+
+def _of_windows(result: RolloutDocument) -> list[str]:
+    """What of the logs is not in it."""
+    lines = []
     if result.untold_s:
         lines.append(f"{significant(result.untold_s)} s are left out, as the data do not show the payload there.")
     if result.interruptions:
@@ -203,6 +219,11 @@ def sentences(result: RolloutDocument) -> list[str]:
             f"No window spans an interruption of a log; {counted(result.windows_lost, 'window')} lost for this reason: "
             f"{where}{more}."
         )
+    return lines
+
+
+def _of_robots(result: RolloutDocument) -> list[str]:
+    lines = []
     for robot in result.robots:
         if robot.ran_away:
             lines.append(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 from xml.etree import ElementTree as xml
@@ -96,39 +97,51 @@ def to_mjcf(robot: Robot) -> Export:
     design = replace(Design(truth), drive_stiffness=tuple(np.where(motor > 0, np.maximum(stiffness, 1.0), 0.0)))
     spec = specify(design, STEP)
     spec.modelname = robot.name
-    spring, preload = amount("joint_spring", "k"), amount("joint_spring", "preload")
-    offset = amount("torque_offset", "offset")
-    lag = sum(time_constant(term.nonlinear[0]) for term in terms if term.effect.name == "drive_lag")  # at most one
     for i in range(3):
         turns = spec.joint(f"motor{i}" if motor[i] > 0 else f"arm{i}")
         turns.frictionloss = float(base.coulomb[i] - inside.bristle[i])
         _linear(turns, damping=float(base.viscous[i]))
-        if spring[i] > 0:
-            _linear(turns, stiffness=float(spring[i]))
-            turns.springref = float(-preload[i] / spring[i])
         for name in {turns.name, f"arm{i}"}:
             spec.joint(name).ref = -float(model.joint_offset[i])
         if motor[i] > 0:
             _add_train(spec, i, float(stiffness[i]), float(damping[i]), float(half[i]))
-        drive = spec.add_actuator(name=f"drive{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=turns.name)
-        drive.set_to_motor()
-        drive.gainprm[0] = 1.0 / scale[i]
-        push = -offset[i] - (preload[i] if spring[i] <= 0 else 0.0)
-        if push:
-            drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-            drive.biasprm[0] = push
-        if lag:
-            drive.dyntype, drive.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, lag
-    hose = amount("hose_spring", "k")[0]
-    if hose > 0:
-        for axis in "xyz":
-            _linear(spec.joint(axis), stiffness=float(hose))
-            spec.joint(axis).springref = float(-amount("hose_spring", f"force_{axis}")[0] / hose)
+        _add_drive(spec, i, turns, float(scale[i]), terms)
+    _add_hose(spec, amount)
     _add_home(spec, design, model.joint_offset)
     _add_shapes(spec, truth)
     result = Export(spec)
     _callback(result, robot, terms, inside, max(SMOOTH, float(np.max(base.transition))))
     return result
+
+
+def _add_drive(
+    spec: mujoco.MjSpec, i: int, turns: mujoco.MjsJoint, scale: float, terms: tuple[Term, ...]
+) -> None:  # fmt: skip
+    """The drive of motor i with what pulls at it: a spring of the joint, an offset of the torque, a lag."""
+    amount = _amounts(terms)
+    spring, preload = (float(amount("joint_spring", name)[i]) for name in ("k", "preload"))
+    if spring > 0:
+        _linear(turns, stiffness=spring)
+        turns.springref = -preload / spring
+    drive = spec.add_actuator(name=f"drive{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=turns.name)
+    drive.set_to_motor()
+    drive.gainprm[0] = 1.0 / scale
+    push = -float(amount("torque_offset", "offset")[i]) - (preload if spring <= 0 else 0.0)
+    if push:
+        drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        drive.biasprm[0] = push
+    lag = sum(time_constant(term.nonlinear[0]) for term in terms if term.effect.name == "drive_lag")  # at most one
+    if lag:
+        drive.dyntype, drive.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, lag
+
+
+def _add_hose(spec: mujoco.MjSpec, amount: Callable[[str, str], np.ndarray]) -> None:
+    """A hose pulls at the platform as a spring with a pretension."""
+    hose = amount("hose_spring", "k")[0]
+    if hose > 0:
+        for axis in "xyz":
+            _linear(spec.joint(axis), stiffness=float(hose))
+            spec.joint(axis).springref = float(-amount("hose_spring", f"force_{axis}")[0] / hose)
 
 
 def _linear(part: mujoco.MjsJoint | mujoco.MjsTendon, **values: float) -> None:

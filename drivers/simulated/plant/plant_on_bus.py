@@ -132,13 +132,12 @@ def run_live(
     pace: waits for a deadline, ns of CLOCK_MONOTONIC, and says how late it is (`replay.clock.wait_until`). stop: asked
     every cycle whether to end. Ctrl-C ends the run; the newest `REMEMBERED` cycles come back.
     """
-    sample_out, reference_out = bus.publisher("sample"), bus.publisher("reference")
+    said = _Said(bus, motion, plant.period)
     intake = FeedforwardIntake(bus.subscribe("feedforward"), plant.truth.peak_torque_nm)
     health = Health(bus, standing | HealthFlag.STALE_FEEDFORWARD)
     period_ns = round(plant.period * NANOSECONDS)
     count = len(motion)
     course = Course(motion)
-    sample, reference = SAMPLE.empty(1), REFERENCE.empty(1)
     rows = np.zeros(min(loops * count, REMEMBERED) if loops else REMEMBERED, _CYCLE)
     done = late_count = 0
     for changed in changes.values():
@@ -146,7 +145,6 @@ def run_live(
     plant.set_payload(0.0)
     plant.reset(motion.position[0])
     plant.warm_up()
-    epoch = time.time_ns()
     start = time.monotonic_ns() + LEAD_NS
     fed: np.ndarray | None = None
     ahead = np.zeros(3)
@@ -166,17 +164,7 @@ def run_live(
                 ahead_before, ahead = ahead, _ahead(ahead, intake.offset, plant.period)
                 measured = course.latch(plant, k, fed, ahead, ahead - ahead_before)
                 platform = plant.platform.copy()  # physics moves it on
-                stamp = epoch + cycle * period_ns
-                set_stamp(reference, stamp + period_ns)
-                reference["sequence"] = cycle + 1
-                reference["position"], reference["velocity"] = motion.position[k + 1], motion.velocity[k + 1]
-                reference["acceleration"] = motion.acceleration[k + 1]
-                reference_out.put(reference.tobytes())
-                set_stamp(sample, stamp)
-                sample["sequence"] = cycle
-                sample["position"], sample["torque"], sample["torque_command"] = measured
-                sample["position_command"] = motion.position[k]
-                sample_out.put(sample.tobytes())
+                said.put(cycle, k, measured)
                 plant.run()
                 held = fed is not None and intake.newest != cycle
                 rows[cycle % len(rows)] = (
@@ -198,6 +186,36 @@ def run_live(
             ended = StopReason.DONE
         health.stop(ended, published=done, received=intake.received, rejected=intake.refused, late=late_count)
     rows = rows[:done] if done <= len(rows) else np.roll(rows, -(done % len(rows)))
+    return _remembered(rows, plant, done, late_count, ended is StopReason.INTERRUPTED)
+
+
+class _Said:
+    """What a cycle says on the bus: the planned motion of the next one, and the sample of its own."""
+
+    def __init__(self, bus: Bus, motion: Trajectory, period: float) -> None:
+        self._sample_out, self._reference_out = bus.publisher("sample"), bus.publisher("reference")
+        self._sample, self._reference = SAMPLE.empty(1), REFERENCE.empty(1)
+        self._motion, self._period_ns = motion, round(period * NANOSECONDS)
+        self._epoch = time.time_ns()
+
+    def put(self, cycle: int, k: int, measured: tuple[np.ndarray, ...]) -> None:
+        """k: row of the motion. measured: position, torque and its command, (3,) each."""
+        sample, reference, motion = self._sample, self._reference, self._motion
+        stamp = self._epoch + cycle * self._period_ns
+        set_stamp(reference, stamp + self._period_ns)
+        reference["sequence"] = cycle + 1
+        reference["position"], reference["velocity"] = motion.position[k + 1], motion.velocity[k + 1]
+        reference["acceleration"] = motion.acceleration[k + 1]
+        self._reference_out.put(reference.tobytes())
+        set_stamp(sample, stamp)
+        sample["sequence"] = cycle
+        sample["position"], sample["torque"], sample["torque_command"] = measured
+        sample["position_command"] = motion.position[k]
+        self._sample_out.put(sample.tobytes())
+
+
+def _remembered(rows: np.ndarray, plant: Plant, done: int, late_count: int, interrupted: bool) -> LiveRun:
+    """The newest cycles, (N,) _CYCLE in their order, of `done`."""
     trace = Trace(
         path=Path("live"),
         time=np.arange(done - len(rows), done) * plant.period,
@@ -210,7 +228,7 @@ def run_live(
     wanted = kinematics.forward(plant.mechanism.geometry, rows["position_command"] + plant.offset)
     return LiveRun(
         trace, rows["feedforward"], rows["held"], rows["payload"], rows["platform"] - wanted, done, late_count,
-        rows["late"], ended is StopReason.INTERRUPTED,
+        rows["late"], interrupted,
     )  # fmt: skip
 
 
