@@ -30,7 +30,7 @@ from service.model.torque import added, reported
 
 PERIOD = 0.002  # s; four times the analysis band and more
 FAST_S, SLOW_S = 6.0, 10.0  # s of the two motions
-SHOWN_S = 3.0  # s of the fast motion in the picture
+SHOWN_S = 3.0  # s of the fast motion in the picture, around the peak
 JOINT = 1  # that effects on single joints are put on; from 0
 ALIKE = 0.4  # cosine from which another effect is listed
 MOST = 6  # listed
@@ -134,18 +134,31 @@ def aliases(effect: Effect) -> list[tuple[str, float]]:
     return sorted(found, key=lambda pair: -pair[1])[:MOST]
 
 
+def _drawn(effect: Effect) -> list[np.ndarray]:
+    """Torque on the joint, an array a motion, of the amplitude that gives the most."""
+    sign = signature(effect)
+    columns = [np.concatenate([part[k][:, JOINT] for part in sign.torque]) for k in range(len(sign.torque[0]))]
+    column = int(np.argmax([np.abs(values).max() for values in columns]))
+    return [part[column][:, JOINT] for part in sign.torque]
+
+
+def shown(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
+    """Time (N,) s and torque (N,) N m of the fast motion, where the effect is largest in it."""
+    time, torque = _scenes()[0].segment.time, _drawn(effect)[0]
+    peak_s = time[int(np.argmax(np.abs(torque)))]
+    begin = np.clip(peak_s - SHOWN_S / 2, 0.0, time[-1] - SHOWN_S)
+    rows = (time >= begin) & (time < begin + SHOWN_S)
+    return time[rows], torque[rows]
+
+
 def picture(effect: Effect) -> str:
     """The signature as SVG: over time, over joint speed, over joint angle."""
-    sign = signature(effect)
-    joint = JOINT
-    columns = [np.concatenate([part[k][:, joint] for part in sign.torque]) for k in range(len(sign.torque[0]))]
-    column = int(np.argmax([np.abs(values).max() for values in columns]))
-    torque = [part[column][:, joint] for part in sign.torque]
+    joint, torque = JOINT, _drawn(effect)
     peak = max(np.abs(values).max() for values in torque) or 1.0
-    motion = [scene.segment for scene in sign.scenes]
+    motion = [scene.segment for scene in _scenes()]
     with figure(width=7.6, height=2.5, columns=3) as (drawing, (over_time, over_speed, over_angle)):
-        shown = motion[0].time < SHOWN_S
-        over_time.plot(motion[0].time[shown], torque[0][shown] / peak, lw=1.0)
+        time, fast = shown(effect)
+        over_time.plot(time, fast / peak, lw=1.0)
         over_time.set(xlabel="time, s", ylabel="torque, share of its peak", title="fast motion")
         for part, values, label in zip(motion, torque, ("fast", "slow"), strict=True):
             over_speed.plot(part.theta_dot[:, joint], values / peak, ".", ms=1.4, label=label, rasterized=True)

@@ -267,7 +267,7 @@ def _warnings(values: np.ndarray, errors: np.ndarray, off: np.ndarray, described
         scale, error = values[joint], errors[joint]
         if off[joint]:
             warnings.append(
-                f"joint {joint + 1}: with the known load, the drive reports {scale:.3f} +- {error:.3f} times the true "
+                f"joint {joint + 1}: with the known load, the drive reports {scale:.3f} ± {error:.3f} times the true "
                 "torque: check torque constant, rated torque and gear ratio; the description contains the factor as "
                 "torque_scale"
             )
@@ -278,7 +278,7 @@ def _warnings(values: np.ndarray, errors: np.ndarray, off: np.ndarray, described
             )
     if off[_MASS]:
         warnings.append(
-            f"mass.platform: {described + values[_MASS]:.3f} +- {errors[_MASS]:.3f} kg from the known load, "
+            f"mass.platform: {described + values[_MASS]:.3f} ± {errors[_MASS]:.3f} kg from the known load, "
             f"{described:g} kg in the description: corrected"
         )
     return warnings

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -81,6 +82,9 @@ def test_every_effect_has_a_page() -> None:
             assert f"| `{name}` |" in page
         for heading in ("Physics and equation", "Check on the machine", "Parameters", "What it is confused with"):
             assert f"## {heading}\n" in page, effect.name
+        assert " = " in page.partition("## Physics and equation")[2].partition("\n## ")[0], (
+            f"{effect.name}: no equation"
+        )
         assert f"[`{effect.name}`]({effect.name}.md)" in effects.index()
 
 
@@ -90,6 +94,14 @@ def test_aliases_are_those_that_are_known() -> None:
     assert found["torque_offset"]["asymmetric_friction"] > 0.99
     assert found["torque_filter"]["torque_delay"] > 0.75
     assert "cogging" not in found["tool_mass"]
+
+
+def test_the_picture_over_time_shows_the_peak() -> None:
+    """Backlash is nothing for seconds, and then an impact."""
+    for effect in CATALOGUE:
+        fast, torque = effects.shown(effect)
+        assert np.ptp(fast) > 2.0, effect.name
+        assert np.abs(torque).max() > 0.0, effect.name
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """A joint's angle has a wrong scale.
 
-Physics: the true angle is 1 + epsilon times the measured one: gear ratio or resolution differs from the value entered.
+Physics: T = tau((1 + epsilon) theta) - tau(theta): the true angle is 1 + epsilon times the measured one, as gear ratio
+or resolution differs from the value entered.
 Implementation: that share of angle, speed and acceleration, through the slopes of the rigid torque.
 Limitations: first order in epsilon; over a small range of angles it mimics a wrong zero.
 """

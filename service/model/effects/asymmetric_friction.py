@@ -1,7 +1,7 @@
 """Coulomb and viscous levels differ between the two directions.
 
-Physics: one flank of a gear or one side of a screw rubs more; T = delta_c + delta_v |v| on top of
-the symmetric part.
+Physics: one flank of a gear or one side of a screw has more friction: T = delta_c + delta_v |v| on top of the
+symmetric part.
 Implementation: two regressors per joint; the friction forward is f + delta, backward f - delta.
 Limitations: delta_c alone is an alias of a constant torque offset; no motion separates the two.
 """

@@ -1,6 +1,6 @@
 """An arm is mounted at another azimuth than described.
 
-Physics: its plane is turned about the base's axis, at base and platform alike.
+Physics: T = tau(alpha + e) - tau(alpha): the arm's plane is turned about the base's axis, at base and platform alike.
 Implementation: as in `geometry`.
 Limitations: if all arms are turned by the same angle, the whole base is turned; no torque shows that if gravity is
 along the axis.

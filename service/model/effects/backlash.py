@@ -1,8 +1,9 @@
 """Lost motion between motor and link.
 
-Physics: the flanks part when the transmitted torque changes sign; the motor runs alone until they meet again, with
-an impact.
-Implementation: two masses with a dead zone of +-half and a stiff, damped contact, integrated behind the recorded
+Physics: with delta = theta_motor - theta_link the gear transmits k (delta - half sign delta) + d delta_dot where
+|delta| > half, else nothing. The flanks part when the transmitted torque changes sign; the motor runs alone until they
+meet again, with an impact.
+Implementation: two masses with a dead zone of ±half and a stiff, damped contact, integrated behind the recorded
 motor motion; the rigid torque is corrected by the link's relative motion.
 Limitations: only seen where the transmitted torque changes sign; single impacts are matched in their momentum, not
 in their chatter.

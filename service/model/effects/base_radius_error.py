@@ -1,6 +1,6 @@
 """A joint's axis is nearer to the centre, or farther from it, than described.
 
-Physics: the closed chain depends on base radius minus platform radius only.
+Physics: T = tau(r + e) - tau(r). The closed chain depends on base radius minus platform radius only.
 Implementation: as in `geometry`.
 Limitations: no torque separates base radius and platform radius.
 """

@@ -1,6 +1,6 @@
 """The base is not level.
 
-Physics: gravity is tilted by two small angles, for every mass.
+Physics: T = tau(R g) - tau(g), R a rotation by two small angles about x and y: gravity is tilted, for every mass.
 Implementation: torque per rad, linear in the angles, with rho_2 on the active links; its product with masses that other
 effects add is taken at the operating point.
 Limitations: small angles; a rotation about the direction of gravity has no effect.

@@ -1,6 +1,7 @@
 """Position error periodic in the motor angle.
 
-Physics: an encoder disc off its axis: the true angle is the measured one plus a cos(n N theta) + b sin(n N theta).
+Physics: an encoder disc is off its axis: the true angle is the measured one plus
+e = a cos(n N theta) + b sin(n N theta).
 Implementation: the error and its two derivatives along the recorded motion, through the slopes of the rigid torque.
 Limitations: first order in the error; at speed its second derivative dominates, at rest nothing shows.
 """

@@ -1,6 +1,6 @@
 """A forearm's true length differs from the description.
 
-Physics: the platform is elsewhere and tilts its path; every joint feels it.
+Physics: T = tau(l2 + e) - tau(l2): the platform is elsewhere and its path is tilted, which every joint feels.
 Implementation: as in `geometry`; the forearm's mass stays.
 Limitations: the same error on all arms is mostly a different height of the platform.
 """

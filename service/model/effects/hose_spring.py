@@ -1,6 +1,6 @@
 """A spring from a fixed point to the platform.
 
-Physics: a hose or dress pack pulls the platform with k (p - p_0).
+Physics: a hose or dress pack pulls the platform towards p_0; against it the robot exerts the force F = k (p - p_0).
 Implementation: linear in k and in the force at the origin, -k p_0.
 Limitations: a hose with slack, weight or damping is not a spring.
 """

@@ -1,6 +1,7 @@
 """Compliance between motor and link.
 
-Physics: the link lags by torque / stiffness; the encoder on the motor does not measure the position of the link.
+Physics: with delta = theta_motor - theta_link the gear transmits k delta + d delta_dot: the link lags by torque /
+stiffness. The encoder on the motor does not measure the position of the link.
 Implementation: the link is integrated behind the recorded motor motion (spring and damper), and the rigid torque
 corrected by its relative motion; base friction stays on the motor side. First order only for the search.
 Limitations: linear spring; a natural frequency far above the analysis band mimics a small shift in time.

@@ -1,6 +1,6 @@
 """Homing error of a joint's zero.
 
-Physics: the true angle is the measured one plus a constant.
+Physics: T = tau(theta + e) - tau(theta): the true angle is the measured one plus a constant e.
 Implementation: as in `geometry`.
 Limitations: mostly a shift of this joint's gravity torque; over few angles it mimics a spring or an offset.
 """

@@ -1,6 +1,6 @@
 """An active link's true length differs from the description.
 
-Physics: the platform is elsewhere, levers and inertia change: every joint feels it.
+Physics: T = tau(l1 + e) - tau(l1): the platform is elsewhere, levers and inertia change, which every joint feels.
 Implementation: as in `geometry`; the link's mass stays.
 Limitations: the same error on all arms is largely absorbed by rho_1 and rho_2.
 """

@@ -1,7 +1,7 @@
 """Friction in the forearms' ball joints.
 
-Physics: each forearm turns against the active link at its elbow and against the platform; dry friction loses
-T |omega|, viscous friction d omega^2.
+Physics: each forearm turns against the active link at its elbow and against the platform, which loses
+the power P = T |omega| + d omega^2.
 Implementation: omega of a forearm is s x s_dot / l2^2 (no spin about itself); joint torques by virtual power, both
 ends of all forearms with the same coefficients, per ball joint pair. Dry friction fades below the speed `SOFT`, as the
 seat is compliant.

@@ -1,7 +1,7 @@
 """Friction along the telescopic shaft of a fourth axis.
 
 Physics: the shaft's halves slide in each other as the platform comes and goes: a force along the shaft against the
-speed l_dot of its length, d sign(l_dot) + f l_dot.
+speed l_dot of its length, F = d sign(l_dot) + f l_dot.
 Implementation: the shaft runs from the middle of the base to that of the platform, l_dot = p v / |p|; the dry part
 turns over `SMOOTH`.
 Limitations: a shaft mounted elsewhere and friction in its universal joints are not modelled. For its mass: `tool_mass`.

@@ -1,6 +1,6 @@
 """A constant torque error of a joint.
 
-Physics: a current sensor's zero, an analogue offset.
+Physics: T = offset: a current sensor's zero, an analogue offset.
 Implementation: one constant per joint.
 Limitations: not separable from Coulomb friction that differs between the directions.
 """

@@ -1,6 +1,6 @@
 """Wrong torque constant or gear ratio.
 
-Physics: the reported torque is 1 + epsilon times the true torque of a joint.
+Physics: T_reported = (1 + epsilon) T on one joint.
 Implementation: scales the whole prediction of the joint.
 Limitations: the same scale on all joints is separable from a mass error only by known masses.
 """
