@@ -5,17 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-_SPECIAL = re.compile(r"([|\\*<>_\[\]])")
+_SPECIAL = re.compile(r"([|\\*_\[\]])")
 
 
 def cell(text: object) -> str:
-    """Text for a cell of a table, in one line, nothing in it read as Markdown."""
-    return _SPECIAL.sub(r"\\\1", " ".join(str(text).split()))
+    """Text for a cell of a table, in one line, nothing in it read as Markdown but code between grave accents."""
+    return _plain(" ".join(str(text).split()))
 
 
 def code(text: object) -> str:
     """Text set as code, in a cell too; empty where there is none."""
-    said = " ".join(str(text).split()).replace("|", "\\|")
+    said = " ".join(str(text).split())
     return f"`{said}`" if said else ""
 
 
@@ -29,5 +29,9 @@ def prose(docstring: str | None) -> str:
     """A docstring as Markdown: paragraphs kept, what is between grave accents stays code."""
     import inspect
 
-    parts = inspect.cleandoc(docstring or "").split("`")
-    return "`".join(part if i % 2 else re.sub(r"([*<_\[\]])", r"\\\1", part) for i, part in enumerate(parts)) + "\n"
+    return _plain(inspect.cleandoc(docstring or "")) + "\n"
+
+
+def _plain(text: str) -> str:
+    parts = text.split("`")
+    return "`".join(part if i % 2 else _SPECIAL.sub(r"\\\1", part).replace("<", "&lt;") for i, part in enumerate(parts))

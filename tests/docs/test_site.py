@@ -41,6 +41,15 @@ def test_nothing_is_fetched(site: Path) -> None:
 
 
 @pytest.mark.slow
+def test_nothing_is_escaped_that_a_reader_sees(site: Path) -> None:
+    """A backslash before what Markdown would have read is not part of the text."""
+    seen = re.compile(r".{0,30}\\(?:[|_*\[\]<>]|&lt;|&gt;).{0,15}")
+    for page in sorted(site.rglob("*.html")):
+        text = re.sub(r"<pre.*?</pre>|<script.*?</script>", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        assert seen.findall(text) == [], page.name
+
+
+@pytest.mark.slow
 def test_every_page_is_in_the_menu_of_the_first(site: Path) -> None:
     menu = (site / "index.html").read_text(encoding="utf-8")
     for page in ("reference/effects/backlash.html", "reference/commands/diagnose.html", "how-to/faults.html"):
