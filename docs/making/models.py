@@ -57,7 +57,7 @@ def _section(model: type[BaseModel], above: str, level: int, done: set[type[Base
     done.add(model)
     heading = f"\n{'#' * level} `[{above.rstrip('.')}]`\n\n" if above else "\n"
     rows = [
-        [code(f"{above}{key.path}"), described(key.field), code(_default(key.field)), cell(key.meaning)]
+        [code(key.path), described(key.field), code(_default(key.field)), cell(key.meaning or _of_tables(key.inner))]
         for key in _own(model)
     ]
     text = heading + prose(model.__doc__ if model.__doc__ != BaseModel.__doc__ else "") + "\n"
@@ -67,6 +67,12 @@ def _section(model: type[BaseModel], above: str, level: int, done: set[type[Base
         for inner in key.inner:
             text += _section(inner, above + key.path + mark, min(level + 1, 4), done)
     return text
+
+
+def _of_tables(inner: Sequence[type[BaseModel]]) -> str:
+    """What a key means that is a table: the first line of what its model says of itself."""
+    said = [(one.__doc__ or "").strip().partition("\n")[0] for one in inner if one.__doc__ != BaseModel.__doc__]
+    return "; or: ".join(line.partition(". ")[0].rstrip(".") for line in said if line)
 
 
 def _own(model: type[BaseModel]) -> list[Key]:
@@ -134,7 +140,7 @@ def _type(kind: Any) -> str:
     if origin is Literal:
         return " or ".join(code(f'"{one}"' if isinstance(one, str) else str(one)) for one in inside)
     if origin in (typing.Union, types.UnionType):
-        return " or ".join(_type(one) for one in inside if one is not type(None))
+        return " or ".join(dict.fromkeys(_type(one) for one in inside if one is not type(None)))
     if origin in (list, tuple):
         return f"list of {_type(inside[0])}"
     if origin is dict:

@@ -48,11 +48,11 @@ def test_every_key_that_a_user_writes_says_what_it_is(name: str) -> None:
 
 def test_bounds_and_defaults_of_keys() -> None:
     page = models.page(*FILES["robot"])
-    assert (
-        "| `geometry.active_link_length` | number, > 0 | `required` | m, from the joint's axis to the elbow |" in page
-    )
-    assert "| `geometry.arm_angles_deg` | list of number, 3 entries | `[0.0, 120.0, 240.0]` |" in page
-    assert "| `drive.joint[].sign` | `1` or `-1` | `required` |" in page
+    assert "| `active_link_length` | number, > 0 | `required` | m, from the joint's axis to the elbow |" in page
+    assert "| `arm_angles_deg` | list of number, 3 entries | `[0.0, 120.0, 240.0]` |" in page
+    assert "| `drive` | table |  | The conversion between bus and joint |" in page
+    assert "`[drive.joint[]]`" in page
+    assert "| `sign` | `1` or `-1` | `required` |" in page
 
 
 @pytest.mark.parametrize("topic", TOPICS)
