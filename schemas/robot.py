@@ -369,6 +369,16 @@ class Described(TomlTable):
         """Radians and newton metres, on all joints."""
         return not self.linear
 
+    @property
+    def torque_noise(self) -> JointParameter | None:
+        """Rms per sample of the white torque noise that `identify` found, N m or N; None: not known."""
+        return None
+
+    @property
+    def model_error(self) -> JointParameter | None:
+        """Rms residual above that noise that its model had when it was made, N m or N; None: not known."""
+        return None
+
 
 class Robot(Described):
     """A Delta robot with three actuated joints."""
@@ -394,6 +404,14 @@ class Robot(Described):
     @property
     def topics(self) -> Topics:
         return OF_DELTA
+
+    @property
+    def torque_noise(self) -> JointParameter | None:
+        return None if self.identified is None else self.identified.torque_noise_nm
+
+    @property
+    def model_error(self) -> JointParameter | None:
+        return None if self.identified is None else self.identified.model_error_nm
 
     @property
     def count(self) -> int:

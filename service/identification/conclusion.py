@@ -13,7 +13,6 @@ import numpy as np
 from schemas.axes_description import Description
 from schemas.diagnosis import named_joints
 from schemas.messages import PayloadEvent
-from schemas.robot import Robot
 from schemas.words import percent
 from service.identification.evaluation import Evaluation, pooled_by_model
 from service.identification.fit import WITHIN_COLOURED
@@ -56,7 +55,7 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
     ratio = moments.rms / noise
     events = any(result.events for result in results)
     said = _over_noise(ratio, f"The model '{name}'", "these logs outside the events" if events else "these logs")
-    error = robot.identified.model_error_nm if isinstance(robot, Robot) and robot.identified else None
+    error = robot.model_error
     if error is not None:
         then = moments.rms / np.hypot(error.value, noise)
         if np.nanmax(then, initial=0.0) > AS_IDENTIFIED:
@@ -94,11 +93,12 @@ def _over_noise(ratio: np.ndarray, model: str, logs: str) -> str:
 
 def _noise(robot: Description, results: Sequence[Evaluation]) -> np.ndarray | None:
     """(3,) N m, the part of a Delta's white torque noise that lies in the analysis band; None where it is not known."""
-    if not isinstance(robot, Robot) or robot.identified is None or robot.identified.torque_noise_nm is None:
+    told = robot.torque_noise
+    if told is None:
         return None
     period = float(np.median([result.trace.period for result in results]))
     band = float(np.median([result.band_hz for result in results]))
-    return np.array(robot.identified.torque_noise_nm.value) * np.sqrt(min(1.0, 2 * band * period))
+    return np.array(told.value) * np.sqrt(min(1.0, 2 * band * period))
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,6 @@ import numpy as np
 from schemas.axes_description import Description
 from schemas.errors import PoseError
 from schemas.messages import GAP
-from schemas.robot import Robot
 from service.identification.noise import white_noise
 from service.model.description import hypothesis_of
 from service.model.hypothesis import Hypothesis
@@ -50,7 +49,7 @@ class Measure:
         self._unit = LEVER if robot.linear else 1.0
         self.period = first[0].period
         self.band = Band.of(self.period, resolved_hz(first))
-        told = robot.identified.torque_noise_nm if isinstance(robot, Robot) and robot.identified else None
+        told = robot.torque_noise
         noise = white_noise([self._recording(part) for part in first]) if told is None else np.array(told.value)
         self.floor = np.maximum(noise, 1e-6) * self.band.white_share**0.5
         terms = self._hypothesis.terms

@@ -16,7 +16,6 @@ from drivers.motion import HOME
 from schemas.axes_description import Description
 from schemas.errors import DataError, TraceError
 from schemas.messages import NANOSECONDS, TOPICS, WatchState, set_stamp, stamp_ns
-from schemas.robot import Robot
 from schemas.trace import Trace
 from service.model.signals import EDGE, segments, thin
 from service.watch.kept import KEEP_S, Kept, flagged
@@ -137,11 +136,11 @@ class Watch:
     @property
     def beyond_description(self) -> np.ndarray:
         """(n,) gap of what was learnt over what the description left when it was made; NaN: it does not say."""
-        found = self._robot.identified if isinstance(self._robot, Robot) else None
-        if found is None or found.model_error_nm is None or self._measure is None or not self._lesson:
+        error = self._robot.model_error
+        if error is None or self._measure is None or not self._lesson:
             return np.full(self._robot.count, np.nan)
         total = reduce(add, self._lesson)
-        left = np.hypot(self._measure.floor, found.model_error_nm.value)
+        left = np.hypot(self._measure.floor, error.value)
         return _rms(total.square.sum(axis=0), total.count.sum(axis=0)) / left
 
     def add(self, samples: np.ndarray, payload: np.ndarray | None = None) -> list[np.ndarray]:
@@ -286,7 +285,7 @@ class Watch:
         message, own = TOPICS[self._robot.topics.gap].empty(1), slice(self._robot.count)
         set_stamp(message, round(stop * NANOSECONDS) + self._kept.epoch)
         message["sequence"], self._sequence = self._sequence, self._sequence + 1
-        if not isinstance(self._robot, Robot):
+        if "joints" in (message.dtype.names or ()):  # as many as the robot has, up to those of the message
             message["joints"] = self._robot.count
         message["ratio"][:, own], message["share"] = ratio, np.nan
         for name in ("gap", "floor", "level", "trend"):

@@ -15,7 +15,6 @@ from drivers.sequence import SequenceCounter
 from schemas.axes_description import Description
 from schemas.finding import WatchFinding
 from schemas.messages import NANOSECONDS, TOPICS, FindingVerdict, HealthFlag, StopReason, WatchState, set_stamp
-from schemas.robot import Robot
 from service.monitor.tally import INVALID
 from service.watch.examine import report, stand_back
 from service.watch.state_machine import RISEN, Rise, Watch
@@ -188,7 +187,7 @@ def _failed(rise: Rise, sequence: int, robot: Description) -> np.ndarray:
 
 def _message(since: float, until: float, sequence: int, robot: Description) -> np.ndarray:
     message = TOPICS[robot.topics.finding].empty(1)
-    if not isinstance(robot, Robot):
+    if "count" in (message.dtype.names or ()):
         message["count"] = robot.count
     set_stamp(message, round(until * NANOSECONDS))
     message["sequence"], message["higher_for"] = sequence, until - since
