@@ -29,7 +29,7 @@ from service.diagnosis.findings import Findings
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
-from service.diagnosis.fit.selection import Scored, Selection, score, search
+from service.diagnosis.fit.selection import WITHIN_NOISE, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.angle_unit import refuse_wrong_angles
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
@@ -43,10 +43,6 @@ from service.model.hypothesis import Term, read_out
 from service.model.mechanism import mechanism_of
 from service.model.scene import Recording
 from service.model.signals import fresh, segments_of
-
-# What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
-# smoothing of the motion costs another two. Where it is read from the noise's colour above the band: `WITHIN_COLOURED`.
-WITHIN_NOISE = 1.06
 
 
 def diagnose(

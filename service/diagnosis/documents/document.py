@@ -33,7 +33,7 @@ from service.diagnosis.evidence.rivals import ModelComparison, comparisons, unde
 from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where
 from service.diagnosis.findings import Findings
-from service.diagnosis.fit.selection import added
+from service.diagnosis.fit.selection import Z95, added
 from service.estimator.named_effects import form_of
 from service.identification.folds import block_loss
 from service.identification.frequency import responses, spectra_of
@@ -210,7 +210,7 @@ def _torque(findings: Findings) -> np.ndarray:
 
 
 def _estimate(value: float, error: float, unit: str, meaning: str = "") -> Estimate:
-    interval = (digits(value - statistics.Z95 * error), digits(value + statistics.Z95 * error))
+    interval = (digits(value - Z95 * error), digits(value + Z95 * error))
     return Estimate(value=digits(value), unit=unit, ci95=interval, meaning=meaning)
 
 

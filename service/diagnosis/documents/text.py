@@ -20,7 +20,7 @@ from schemas.diagnosis import (
 from schemas.words import percent, significant, words
 from service.diagnosis.documents.online_text import sentences_of
 from service.diagnosis.evidence.rivals import SURE
-from service.diagnosis.evidence.statistics import Z95
+from service.diagnosis.fit.selection import Z95
 from service.identification.loops import gains_in_words
 
 VERDICTS = {

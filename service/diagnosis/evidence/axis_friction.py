@@ -17,7 +17,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence.cautions import doubts_of
-from service.diagnosis.evidence.earned import earned
+from service.diagnosis.evidence.earned import STANDS, earned
 from service.diagnosis.evidence.rivals import SURE
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import LEAST_Z, Scored, Selection, Standing, worth, z_score
@@ -28,9 +28,6 @@ from service.model.effects.base import Effect, on_joint
 from service.model.hypothesis import Hypothesis
 
 LOAD, INERTIA = 6, 2  # degree by the angle of load and friction, which a weight over a turn needs, and of inertia
-# Of what an effect takes, that it still takes beside all that goes by the angle: friction by the load keeps 0.6 on a
-# real servo and 0.65 or more on simulated ones, friction by the angle that stands for it 0.09 at most.
-STANDS = 0.5
 LEAST_LOGS = 3
 
 

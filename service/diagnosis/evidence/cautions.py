@@ -11,6 +11,7 @@ import numpy as np
 
 from schemas.diagnosis import Caution, Follows
 from service.diagnosis.evidence import statistics
+from service.diagnosis.fit.candidates import JOINT_SHARE
 from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection
 from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
@@ -24,7 +25,6 @@ WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leav
 CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs left out: then they are no accident
 EXCUSED = 0.95  # the same, from which effects may leave more than `WRONG_MODEL`: it is little of the gap
 FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lacks: then the base is wrong, not a part
-AS_GOOD = 0.05  # of the same by which an effect has to do better than that,
 BETTER = 0.2  # or leave less than this of what that leaves: a spring and a weight differ by a hundredth of a large gap
 NO_WEIGHT = 0.1  # of what a spring changes by over its travel, that a weight beside it is at least
 OTHER_GRAVITY = 3.0  # m/s^2 beside the description's: no base is mounted so far from level by mistake
@@ -146,7 +146,7 @@ def base_doubts(
                 )
                 cautions[caution.code, joint + 1] = caution
     for found, level, least, beaten in (
-        (before, levels[0], np.maximum(removed - AS_GOOD, FOLLOWS), BETTER * above[0]),
+        (before, levels[0], np.maximum(removed - JOINT_SHARE, FOLLOWS), BETTER * above[0]),
         (after, levels[1], np.full(len(removed), FOLLOWS), np.zeros(len(removed))),
     ):
         for one in found:
@@ -178,7 +178,7 @@ def _gravity(problem: Problem, none: Scored, best: Scored) -> list[Caution]:
     change, taken = _beside(none, weights)
     rest = none.fitted.cost - taken - problem.count
     size = float(np.linalg.norm(change[-6:-3]))
-    if size < OTHER_GRAVITY or rest > left + AS_GOOD * gap:
+    if size < OTHER_GRAVITY or rest > left + JOINT_SHARE * gap:
         return []
     _, more = _beside(best, weights)
     both = best.fitted.cost - more - problem.count

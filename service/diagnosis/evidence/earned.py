@@ -14,12 +14,12 @@ import numpy as np
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
 from service.diagnosis.evidence.accepted import accepted
+from service.diagnosis.evidence.cautions import FOLLOWS
 from service.diagnosis.evidence.placement import Placement
 from service.diagnosis.evidence.rivals import LIKELY
-from service.diagnosis.evidence.statistics import Z95
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
-from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, Scored, Selection, without
+from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, Z95, Scored, Selection, without
 from service.diagnosis.fit.sound import fault_of
 from service.identification.correlated import WHITE
 from service.identification.events import events_of
@@ -29,16 +29,14 @@ from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
 from service.model.parameters import Parameters
 
-LEAST_SHRINK = 0.015  # of the rms on data left out that a name has to be worth, and its interval above zero
 MOST_CHANGE = 0.25  # of an effect's figures from run to run; true ones of ten labelled cases stay within 0.07
 LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not known and what is left is far above it
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
-# Of what an effect on a serial arm takes, that it still takes where joints may be elsewhere: true ones keep two thirds
-# and more, what stands in for a wrong URDF nothing.
-STANDS = 0.3
-MISPLACED = 0.3  # of what is left above the noise, that one joint elsewhere takes: then it is said to be
+# Of what an effect explains, that it still explains with the torque of a wrong description open: on arms, where joints
+# may be elsewhere, true ones keep two thirds and more and what mimics a wrong URDF nothing; on axes, with all that
+# depends on the angle, friction by the load keeps 0.6 and more and friction by the angle that mimics it 0.09 at most.
+STANDS = 0.5
 DRAWN = 12**-0.5  # of a range, the standard deviation of a number drawn from it
-OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
 def earned(
@@ -149,7 +147,7 @@ def _where_joints_are(
     best = without(problem, split, selection.none, best, *gone)
     joint, loss = min(((j, placement.beside(best, j)) for j in range(len(problem.sigma))), key=lambda item: item[1])
     share = min((best.loss - loss) / max(best.loss - problem.count, 1e-9), 1.0)
-    if share > MISPLACED:
+    if share > FOLLOWS:
         caution = Caution(code="misplaced", joints=[joint + 1], share=round(share, 4), advice="check_description")
         fallen.append(caution)
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside=False)
@@ -191,7 +189,8 @@ def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:
     for term, mine in zip(best.hypothesis.terms, parameters.terms, strict=True):
         if term.effect is effect:
             values, error, count = parameters.values[mine], errors[mine], term.amplitude.size
-            told = np.abs(values[:count]) > Z95 * error[:count] if count else error[:1] < OPEN * np.abs(values[:1])
+            first = count or 1  # of one without amplitudes, its shape says how much there is of it
+            told = np.abs(values[:first]) > Z95 * error[:first]
             shape = _any_shape(effect, error[count:])
             if told.any() and shape is None:
                 return None
@@ -243,7 +242,7 @@ def _carries_over(
         statistics.pooled_squares(even, without.residuals, split),
         statistics.pooled_squares(even, best.residuals, split),
     )
-    if shrink.low <= 0 or shrink.value < LEAST_SHRINK:
+    if shrink.low <= 0 or (1.0 - shrink.value) ** 2 > 1.0 - LEAST_GAIN:
         return _fell("no_shrink", effect, best, share=shrink.value)
     for other in kept_out:
         shrunk = shrink_on(other, without.hypothesis, best.hypothesis)

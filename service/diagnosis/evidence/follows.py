@@ -11,13 +11,13 @@ import numpy as np
 
 from schemas.diagnosis import Follows
 from schemas.trace import Trace
+from service.diagnosis.evidence.opened import LEAST_SHARE, STANDS_OUT
 from service.identification.fit import Problem, solve
 from service.identification.folds import Split
 from service.identification.loops import position_error
 from service.model.coulomb_viscous import mean_direction
 
 What = Literal["motion", "sine_of_angle", "position_error"]
-LEAST_SHARE = 0.05  # of the energy above the noise that is worth telling
 
 
 def follows(
@@ -34,7 +34,7 @@ def follows(
         fold = [f[j == joint] for f, j in zip(split.fold, problem.joints_of_rows, strict=True)]
         count = sum(map(len, values))
         energy = sum(float(v @ v) for v in values)
-        if count < 50 or energy < 1.2 * count:
+        if count < 50 or energy < STANDS_OUT * count:
             continue
         for what, other, columns in _groups(problem, joint, traces, angular):
             share = _share(columns, values, fold, split.folds, energy - count)

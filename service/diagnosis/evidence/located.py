@@ -13,8 +13,7 @@ import numpy as np
 from schemas.axes_description import Description
 from schemas.diagnosis import Extreme, Located
 from service.diagnosis.evidence.opened import LEAST_SHARE, Beside, Pool, Tried, above
-from service.diagnosis.evidence.statistics import Z95
-from service.diagnosis.fit.selection import TOLD_APART, Scored, score, z_score
+from service.diagnosis.fit.selection import Z95, Scored, score, z_score
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss
 from service.model.description import digits, in_units_of
@@ -44,7 +43,7 @@ def located(robot: Description, problem: Problem, split: Split, hypothesis: Hypo
             break
         first = max(told, key=lambda one: float(one.gains.sum()))
         same = [t for t in told if len({t.process.joint, first.process.joint} - {None}) < 2]
-        alike = [t for t in same if t is first or z_score(blocks - t.gains, blocks - first.gains) < TOLD_APART]
+        alike = [t for t in same if t is first or z_score(blocks - t.gains, blocks - first.gains) < Z95]
         for one in sorted(alike, key=lambda one: -float(one.gains.sum())):
             found.append(_told(robot, beside, one, total, one is not first))
         left, known = first.residuals, first.together

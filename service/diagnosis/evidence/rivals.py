@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.fit.candidates import Dictionary, Regressors
+from service.diagnosis.evidence.statistics import DRAWS
+from service.diagnosis.fit.candidates import PROMISE, Dictionary, Regressors
 from service.diagnosis.fit.common import in_common
 from service.diagnosis.fit.selection import (
     LEAST_GAIN,
     SHORTLIST,
     SIMPLER_SHARE,
-    TOLD_APART,
+    Z95,
     Scored,
     Selection,
     Standing,
@@ -31,10 +32,8 @@ from service.model.hypothesis import Term
 
 Seen = Callable[[Scored], Scored]
 
-DRAWS = 1000
 SURE = 0.9  # probability from which a name is not asked about again
 CONFUSED = 0.05  # probability from which what stands in for a name is told beside it
-NEAR = 0.5  # of an effect's gain: what promises less in its place is not fitted
 LIKELY = 0.5  # probability that a name needs, and keeps where all that does as well is what all joints may have alike
 
 
@@ -218,7 +217,7 @@ def _one_more(model: Scored, fewer: Scored) -> bool:
 
 
 def _told_better(model: Scored, best: Scored) -> bool:
-    return model.blocks.sum() < best.blocks.sum() and z_score(best.blocks, model.blocks) > TOLD_APART
+    return model.blocks.sum() < best.blocks.sum() and z_score(best.blocks, model.blocks) > Z95
 
 
 def _weighed(
@@ -255,7 +254,7 @@ def _rivals(
     for effect, fewer in refits.items():
         if _placed(fewer) not in begun:
             gain = fewer.loss - best.loss
-            for model in _in_its_place(regressors, fewer, effect, NEAR * gain, allows):
+            for model in _in_its_place(regressors, fewer, effect, PROMISE * gain, allows):
                 yield model, _names(added(model, fewer))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.diagnosis.fit.selection import TOLD_APART, Scored, Selection, worth, z_score
+from service.diagnosis.fit.selection import Z95, Scored, Selection, worth, z_score
 from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Fit, Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
@@ -15,8 +15,7 @@ from service.model.parameters import Parameters
 
 # A reversal's place between two samples is known to about this share of the sample time.
 REVERSAL_PLACE = 0.2
-DRAWS = 2000
-Z95 = 1.96  # standard deviations to either side that 95 % of a normal distribution lie within
+DRAWS = 2000  # of a bootstrap
 TOLD_APART_FROM_OTHERS = 1e-8  # of a parameter's effect, squared, that others do not reproduce; less is rounding
 SAME_FIT = 1e-6  # of the squared residual by which two ways to write one model may differ
 # Of the rms acceleration of the liveliest run: one with less is a slow sweep, made to identify, not what a robot does.
@@ -154,7 +153,7 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
             inner = [(inner_of(candidate), candidate) for candidate in tried]
             loss, best = min(inner, key=lambda item: item[0].sum())
             kept = next(item for item in inner if item[1] is taken)
-            if z_score(kept[0], loss) < TOLD_APART:
+            if z_score(kept[0], loss) < Z95:
                 loss, best = kept  # without this fold nothing speaks against the choice made with it
             if not worth(loss, inner_of(chosen), inner_of(selection.none), share, most):
                 break
@@ -162,7 +161,7 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
             if best is not taken:
                 break
         whole, steps = (inner_of(scored) for scored in (selection.best, chosen))
-        if z_score(steps, whole) > TOLD_APART:  # another order of steps leads there too
+        if z_score(steps, whole) > Z95:  # another order of steps leads there too
             chosen = selection.best
         result.append(chosen)
     return result

@@ -21,6 +21,7 @@ from service.model.hypothesis import Hypothesis, Term
 from service.model.scene import Scene
 from service.model.torque import reported
 
+PROMISE = 0.5  # of what could be gained, that something has to promise on data left out before it is fitted
 COUPLES = 40  # pairs of effects asked on data left out
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
 ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near

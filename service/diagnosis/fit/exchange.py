@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from service.diagnosis.fit.candidates import Candidate, Dictionary, Regressors
+from service.diagnosis.fit.candidates import PROMISE, Candidate, Dictionary, Regressors
 from service.diagnosis.fit.selection import (
     LEAST_GAIN,
     MOST_EFFECTS,
@@ -27,8 +27,6 @@ from service.diagnosis.fit.selection import (
 from service.diagnosis.fit.sound import fault_of
 from service.identification.fit import Problem
 from service.model.effects.base import Effect
-
-PROMISE = 0.5  # of what is left above the noise, that two have to take before they are fitted
 
 
 def exchanged(

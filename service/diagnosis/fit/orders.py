@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.diagnosis.fit.selection import LEAST_GAIN, LEAST_Z, Scored, score, z_score
+from service.diagnosis.fit.selection import LEAST_GAIN, LEAST_SHARE_OF_GAP, LEAST_Z, Scored, score, z_score
 from service.identification.fit import Problem, fit
 from service.identification.folds import Split
 from service.model import ripple
@@ -19,7 +19,6 @@ from service.model.hypothesis import Term
 
 MOST = 8  # orders a joint
 TRIED = 3  # strongest, before a joint is said to have no more
-LEAST_SHARE = 0.01  # of the gap that is left, that an order has to be worth
 APART = 0.5  # orders
 
 
@@ -45,7 +44,7 @@ def _one_more(problem: Problem, split: Split, best: Scored, effect: Effect, join
         trial = replace(best.hypothesis, terms=(*best.hypothesis.terms, term))
         larger = score(fit(problem, trial, iterations=3), split)
         gain = best.loss - larger.loss
-        least = max(LEAST_GAIN * problem.count, LEAST_SHARE * (best.loss - problem.count))
+        least = max(LEAST_GAIN * problem.count, LEAST_SHARE_OF_GAP * (best.loss - problem.count))
         if gain > least and z_score(best.blocks, larger.blocks) > LEAST_Z:
             return larger
     return None

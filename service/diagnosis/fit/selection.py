@@ -23,17 +23,15 @@ MOST_EFFECTS = 4
 # What an effect has to be worth on data left out, as a fall of the mean square in units of the noise:
 LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
 LEAST_SHARE_OF_GAP = 0.01  # of the gap above the noise; or, as beside a strong effect a weak one is less,
-MOST_OF_REST = 0.6  # of what was still above the noise when it was added, and
-LEAST_BESIDE = 0.12  # more than what a strong effect's own model leaves, which passes for noise
-LEAST_SHARE_OF_REST = 0.25  # of the same, or of what is `FAR_ABOVE`, if that is less
+LEAST_SHARE_OF_REST = 0.25  # of what was still above the noise when it was added, and more than passes for noise
+# What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
+# smoothing of the motion costs another two. Where it is read from the noise's colour above the band: `WITHIN_COLOURED`.
+WITHIN_NOISE = 1.06
 LEAST_Z = 3.0  # standard errors over blocks
-MOST_CHANCE = 12.0  # squares, in units of the noise, that a joint's part of an effect has to be worth, and
-LEAST_SHARE_OF_JOINT = 0.02  # of what the effect takes on all of its joints
-SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may lack
-TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
+SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters, or on fewer joints, may lack
+Z95 = 1.96  # standard errors to either side that hold 95 %: two hypotheses are told apart, a value is not zero
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
 ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its nonlinear parameters, where slopes mislead
-SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that nonlinear parameters of their own must be worth
 FAR_ABOVE = 2.0  # times the noise, from which what is left is a cause of its own
 
 
@@ -208,7 +206,7 @@ def additions(
     dictionary = Dictionary(regressors, best.fitted)
     exact: list[Scored] = []
     for loss, candidate in dictionary.ranking(best.hypothesis.terms, mechanism.joints, allows)[:SHORTLIST]:
-        if dictionary.nothing - loss > 0.3 * LEAST_GAIN * problem.count:
+        if dictionary.nothing - loss > LEAST_GAIN * problem.count:
             progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
             added = score(fit_added(problem, best.fitted, candidate.term()), regressors.split)
             exact.append(added.light(problem))
@@ -238,7 +236,7 @@ def _sound_first(
     if faults[0] is None:
         return sound, None
     gain = without.loss - lead.loss
-    near = [s for s in sound if s.loss - lead.loss < JOINT_SHARE * gain or z_score(s.blocks, lead.blocks) < TOLD_APART]
+    near = [s for s in sound if s.loss - lead.loss < JOINT_SHARE * gain or z_score(s.blocks, lead.blocks) < Z95]
     if near:
         return [near[0], *(scored for scored in sound if scored is not near[0])], None
     found = worth(lead.blocks, without.blocks, none.blocks, problem.count, problem.most)
@@ -258,7 +256,7 @@ def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:
     ordered = sorted(tried, key=lambda scored: scored.loss + 2 * size(scored))
     best = ordered[0]
     most = SIMPLER_SHARE * (without.loss - best.loss)
-    equals = [s for s in ordered if s.loss - best.loss < most and z_score(s.blocks, best.blocks) < TOLD_APART]
+    equals = [s for s in ordered if s.loss - best.loss < most and z_score(s.blocks, best.blocks) < Z95]
     lead = min(equals, key=size, default=best)
     return [lead, *(scored for scored in ordered if scored is not lead)]
 
@@ -312,7 +310,9 @@ def worth(
     """
     gain = float(without.sum() - candidate.sum()) / rows
     gap, rest = float(none.sum()) / rows - most**2, float(without.sum()) / rows - most**2
-    share = LEAST_SHARE_OF_GAP * gap if rough else min(LEAST_SHARE_OF_GAP * gap, max(MOST_OF_REST * rest, LEAST_BESIDE))
+    share = LEAST_SHARE_OF_GAP * gap
+    if not rough:
+        share = min(share, max(LEAST_SHARE_OF_REST * rest, WITHIN_NOISE**2 - 1.0))
     least = max(LEAST_GAIN, share, LEAST_SHARE_OF_REST * min(rest, FAR_ABOVE**2 - 1.0))
     return gain > least and z_score(without, candidate) > LEAST_Z
 
@@ -340,7 +340,8 @@ def spread(problem: Problem, split: Split, best: Scored) -> Scored:
         replace(term, joints=(joint,), amplitude=term.amplitude[[place]]) for place, joint in enumerate(term.joints)
     )
     trial = score(fit(problem, replace(best.hypothesis, terms=(*best.hypothesis.terms[:-1], *apart))), split)
-    return trial if best.loss - trial.loss > max(SPREAD_GAIN, 0.01 * (best.loss - problem.count)) else best
+    large = best.loss - trial.loss > LEAST_SHARE_OF_GAP * (best.loss - problem.count)
+    return trial if large and z_score(best.blocks, trial.blocks) > LEAST_Z else best
 
 
 def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int, given: int) -> Scored:
@@ -353,7 +354,6 @@ def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int
         if len(term.joints) < 2:
             continue
         gain = without(problem, split, none, best, term.effect).loss - best.loss
-        chance = max(MOST_CHANCE, LEAST_SHARE_OF_JOINT * gain)
         for joint in term.joints:
             current = next((t for t in best.hypothesis.terms if t.effect is term.effect), None)
             if current is None or len(current.joints) < 2:
@@ -362,6 +362,6 @@ def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int
             smaller = replace(current, joints=tuple(current.joints[i] for i in keep), amplitude=current.amplitude[keep])
             swapped = tuple(smaller if t is current else t for t in best.hypothesis.terms)
             trial = score(fit(problem, replace(best.hypothesis, terms=swapped), iterations=2), split)
-            if trial.loss - best.loss < chance:
+            if trial.loss - best.loss < SIMPLER_SHARE * gain or z_score(trial.blocks, best.blocks) < LEAST_Z:
                 best = trial
     return best

@@ -198,20 +198,23 @@ def test_what_blocks_do_not_tell_apart_is_as_good(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("loss", "rows", "gain", "kept"),
+    ("loss", "errors", "gain", "kept"),
     [
-        (9000.0, 9000, 39.0, False),
-        (9000.0, 9000, 41.0, True),
-        (19000.0, 9000, 99.0, False),
-        (19000.0, 9000, 101.0, True),
+        (9000.0, 2.9, 39.0, False),
+        (9000.0, 3.1, 39.0, True),
+        (19000.0, 3.1, 99.0, False),
+        (19000.0, 3.1, 101.0, True),
     ],
 )  # fmt: skip
-def test_widths_of_their_own_are_worth_something_and_a_hundredth_of_what_is_left(monkeypatch, loss, rows, gain, kept):
+def test_widths_of_their_own_are_a_hundredth_of_what_is_left_and_not_chance(monkeypatch, loss, errors, gain, kept):
+    """Of 9000 rows. errors: standard ones over blocks, of which the gain is so many."""
     term = Term(EFFECTS["stribeck_friction"], (0, 2), np.array([[1.0], [2.0]]), (0.2,))
-    best = stub(hypothesis=Hypothesis(BASE, (term,)), loss=loss)
+    away = np.tile([1.0, -1.0], BLOCKS // 2) * gain / (errors * BLOCKS**0.5)
+    best = stub(hypothesis=Hypothesis(BASE, (term,)), loss=loss, blocks=np.full(BLOCKS, loss / BLOCKS))
     monkeypatch.setattr(selection, "fit", lambda problem, hypothesis: hypothesis)
-    monkeypatch.setattr(selection, "score", lambda fitted, split: stub(hypothesis=fitted, loss=loss - gain))
-    found = selection.spread(stub(count=rows), stub(), best)
+    monkeypatch.setattr(selection, "score", lambda fitted, split: stub(
+        hypothesis=fitted, loss=loss - gain, blocks=best.blocks - gain / BLOCKS + away))  # fmt: skip
+    found = selection.spread(stub(count=9000), stub(), best)
     assert (found is not best) == kept
     if kept:
         assert [(t.joints, t.amplitude.tolist()) for t in found.hypothesis.terms] == [((0,), [[1.0]]), ((2,), [[2.0]])]
@@ -219,13 +222,15 @@ def test_widths_of_their_own_are_worth_something_and_a_hundredth_of_what_is_left
 
 @pytest.mark.parametrize("beside", [0.0, 1e6])
 @pytest.mark.parametrize(
-    ("gain", "lost", "joints"),
-    [(300.0, 11.9, (0, 1)), (300.0, 12.1, (0, 1, 2)), (1000.0, 19.9, (0, 1)), (1000.0, 20.1, (0, 1, 2))],
+    ("errors", "lost", "joints"),
+    [(2.9, 40.0, (0, 1)), (3.1, 40.0, (0, 1, 2)), (9.0, 19.9, (0, 1)), (9.0, 20.1, (0, 1, 2))],
 )
-def test_a_joint_goes_that_is_worth_no_more_than_chance_or_a_fiftieth(monkeypatch, beside, gain, lost, joints):
-    """Twelve in units of the noise, or that share of what the effect gains on all joints: here of joint 3; the others
-    are needed. beside: what another effect gains, which is nothing to it: drives of other scales beside warm gears lost
-    one of their joints by it, and a mass at the platform made up for that."""
+def test_a_joint_goes_that_is_worth_no_more_than_chance_or_a_fiftieth(monkeypatch, beside, errors, lost, joints):
+    """Of 1000 squares that the effect gains on all joints. lost: without joint 3, so many standard errors over blocks;
+    the others are needed. beside: what another effect gains, which is nothing to it: drives of other scales beside warm
+    gears lost one of their joints by it, and a mass at the platform made up for that."""
+    gain, way = 1000.0, np.tile([1.0, -1.0], 4)
+    away = way * lost / (errors * 8**0.5)
     offset = Term(EFFECTS["torque_offset"], (0, 1, 2), np.array([[1.0], [2.0], [3.0]]), ())
     drag = Term.blank(EFFECTS["air_drag"], (), ())
     terms = (drag, offset) if beside else (offset,)
@@ -234,7 +239,11 @@ def test_a_joint_goes_that_is_worth_no_more_than_chance_or_a_fiftieth(monkeypatc
         sits = {joint for term in fitted.terms if term.effect is offset.effect for joint in term.joints}
         needed, drags = len({0, 1} - sits), drag.effect in [term.effect for term in fitted.terms]
         loss = 100.0 + lost * (2 not in sits) + 500.0 * needed if sits else 100.0 + gain
-        return stub(hypothesis=fitted, loss=loss + beside * (not drags), blocks=np.full(8, loss))
+        return stub(
+            hypothesis=fitted,
+            loss=loss + beside * (not drags),
+            blocks=loss / 8 + (way if needed else away * (2 not in sits)),
+        )
 
     monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: hypothesis)
     monkeypatch.setattr(selection, "score", scored)

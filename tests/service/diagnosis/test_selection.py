@@ -238,14 +238,14 @@ class TestWorth:
             (1.00, 1.04, 1.04, True),
             (1.00, 1.025, 1.025, False),  # less than LEAST_GAIN
             (1.03, 1.2, 8.0, True),
-            (1.14, 1.2, 8.0, False),  # less than 1 % of the gap and 60 % of the rest
-            (1.35, 2.0, 100.0, True),  # a weak effect beside a strong one: most of what is left
-            (1.45, 2.0, 100.0, False),
+            (1.14, 1.2, 8.0, False),  # less than 1 % of the gap and than passes for noise
+            (1.73, 2.0, 100.0, True),  # a weak effect beside a strong one: a quarter of what is left
+            (1.77, 2.0, 100.0, False),
             (1.0, 1.15, 60.0, True),
             (1.0, 1.1, 60.0, False),  # what the strong effect's own model leaves
             (4.0, 5.5, 5.5, True),
             (5.0, 5.5, 5.5, False),  # less than a quarter of the rest
-            (1.0, 1.105, 11.0, True),  # 1 % of a gap of 10, which is less than 60 % of the rest or what a model leaves
+            (1.0, 1.105, 11.0, True),  # 1 % of a gap of 10, which is less than passes for noise
             (1.0, 1.095, 11.0, False),
             (1.0, 1.041, 1.041, True),
         ],

@@ -12,7 +12,7 @@ from schemas.diagnosis import Advice, CautionCode, Diagnosis, Provenance
 from schemas.fleet_document import DayResult, Fleet, RobotHistory
 from schemas.rollout_document import RolloutDocument
 from service.diagnosis.documents.report import of_document, write_diagnosis
-from service.diagnosis.pipeline import WITHIN_NOISE
+from service.diagnosis.fit.selection import WITHIN_NOISE
 from service.diagnosis.sealed_cases import judged, summary
 from service.diagnosis.sealed_page import write_page as write_blindtest
 from service.experiment.live_loop import CORRECTED, FEEDBACK, RIGID, Tracking
