@@ -9,7 +9,7 @@ asked again. Then effects are added by the same quantity.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -43,21 +43,26 @@ class Accepted:
     opened: Opened
     rejected: list[tuple[Effect, Scored, float]]
     path: list[tuple[list[Scored], Scored | None]]
+    # the model too, so that its id stays its own
+    known: dict[int, tuple[Scored, Scored]] = field(default_factory=dict)
 
     def beside(self, best: Scored) -> Opened:
         """The discrepancies that are open with another model."""
         return self.opened if best is self.best else Opened.beside(self.pool, best)
 
-    def given(self, problem: Problem, split: Split) -> Callable[[Scored], Scored]:
-        """A model with the losses of its blocks given the discrepancies."""
-        known: dict[int, tuple[Scored, Scored]] = {}  # the model too, so that its id stays its own
+    def seen(self, model: Scored) -> Scored:
+        """A model with its residuals on held-out data given the discrepancies."""
+        if id(model) not in self.known:
+            self.known[id(model)] = model, _seen(self.pool.problem, model, self.opened, self.pool.split)
+        return self.known[id(model)][1]
 
-        def seen(model: Scored) -> Scored:
-            if id(model) not in known:
-                known[id(model)] = model, replace(model, blocks=_blocks(problem, model, self.opened, split))
-            return known[id(model)][1]
-
-        return seen
+    def least(self, none: Scored, model: Scored, names: Collection[str]) -> float:
+        """What effects of another model explain given the discrepancies, over what their torque does at other times:
+        the least of them, 0 where one is not separable. none: the base model."""
+        problem, split = self.pool.problem, self.pool.split
+        effects = dict.fromkeys(term.effect for term in model.hypothesis.terms if term.effect.name in names)
+        fewer = {effect: without(problem, split, none, model, effect) for effect in effects}
+        return min((own(self.pool, fewer[effect], model, effect, self.opened) for effect in effects), default=np.inf)
 
     def continued(self, selection: Selection) -> Selection:
         """The search with what was added after it."""
@@ -104,11 +109,11 @@ def own(pool: Pool, fewer: Scored, best: Scored, effect: Effect, opened: Opened)
     return over_null(pool.problem, Wide.of(fewer.fitted, opened.columns, opened.prior), best.fitted, {effect})
 
 
-def _blocks(problem: Problem, scored: Scored, opened: Opened, split: Split) -> np.ndarray:
-    """(blocks,) squares on held-out data given discrepancies, joints weighted by their residual given these."""
-    left = Wide.of(scored.fitted, opened.columns, opened.prior).held_out(split)
-    level = problem.level(opened.residuals)
-    return block_loss([r / level[j] for r, j in zip(left, problem.joints_of_rows, strict=True)], split)
+def _seen(problem: Problem, scored: Scored, opened: Opened, split: Split) -> Scored:
+    """A model with its residuals on held-out data given discrepancies, joints weighted by what is left of the best."""
+    left, level = Wide.of(scored.fitted, opened.columns, opened.prior).held_out(split), problem.level(opened.residuals)
+    residuals = [r / level[j] for r, j in zip(left, problem.joints_of_rows, strict=True)]
+    return Scored(scored.fitted, residuals, block_loss(residuals, split))
 
 
 def _added(
@@ -118,22 +123,28 @@ def _added(
     """Models with one effect more that is accepted, the best first."""
     problem, split = regressors.problem, regressors.split
     dictionary = Dictionary(regressors, *_wide(best, opened))
-    before, found = _blocks(problem, best, opened, split), []
+    before, found = _seen(problem, best, opened, split), []
     ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
     for loss, candidate in ranking[:SHORTLIST]:
         if candidate.effect in gone or dictionary.nothing - loss < LEAST_GAIN * problem.count:
             continue
         model = score(fit_added(problem, best.fitted, candidate.term()), split)
-        after = _blocks(problem, model, opened, split)
-        if after.sum() < before.sum() and fault_of(problem, model.hypothesis, given) is None:
-            found.append((float(after.sum()), model))
+        after = _seen(problem, model, opened, split)
+        if after.loss < before.loss and fault_of(problem, model.hypothesis, given) is None:
+            found.append((after.loss, own(pool, best, model, candidate.effect, opened), model))
     found.sort(key=lambda item: item[0])
-    if not found:
-        return []
-    first = found[0][1]
-    if own(pool, best, first, first.hypothesis.terms[-1].effect, opened) <= OWN:
-        return []
-    return [model for _, model in found]
+    first = _furthest([ratio for _, ratio, _ in found])
+    models = [model for *_, model in found]
+    return [] if first is None else [models.pop(first), *models]
+
+
+def _furthest(ratios: list[float]) -> int | None:
+    """Place of the largest ratio that is accepted, of models that explain most first; None where none is. One without a
+    null, which nothing is to be compared with, has to explain most, and no other is accepted."""
+    finite = [ratio if ratio < np.inf else 0.0 for ratio in ratios]
+    if max(finite, default=0.0) > OWN:
+        return int(np.argmax(finite))
+    return 0 if ratios[:1] == [np.inf] else None
 
 
 def _wide(scored: Scored, opened: Opened) -> tuple[Fit, np.ndarray]:

@@ -13,13 +13,14 @@ import numpy as np
 
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
-from service.diagnosis.evidence.accepted import accepted
+from service.diagnosis.evidence.accepted import Accepted, accepted
 from service.diagnosis.evidence.cautions import FOLLOWS
 from service.diagnosis.evidence.placement import Placement
 from service.diagnosis.evidence.rivals import LIKELY
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
-from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, Z95, Scored, Selection, without
+from service.diagnosis.fit.null import OWN
+from service.diagnosis.fit.selection import LEAST_GAIN, Z95, Scored, Selection, added, without
 from service.diagnosis.fit.sound import fault_of
 from service.identification.correlated import WHITE
 from service.identification.events import events_of
@@ -41,18 +42,19 @@ DRAWN = 12**-0.5  # of a range, the standard deviation of a number drawn from it
 
 def earned(
     regressors: Regressors, selection: Selection, kept_out: Sequence[Problem], allows: Callable[[Effect, int], bool],
-    limit: float, progress: Callable[[str], None],
+    limit: float, progress: Callable[[str], None], been: Collection[frozenset[str]] = (),
 ) -> tuple[Selection, list[Caution]]:  # fmt: skip
     """The selection with the names that stand and the noise beside them, and why each of the others fell.
 
-    kept_out: of logs to test on. limit: rms that noise leaves at most.
+    kept_out: of logs to test on. limit: rms that noise leaves at most. been: sets of names that have been in the place
+    of each other: of two of which one is better and the other simpler, neither takes the place again.
     """
     problem, best, given = regressors.problem, selection.best, len(selection.none.hypothesis.terms)
     left = (best.loss / problem.count) ** 0.5
     delta = problem.recordings[0].mechanism.kind == "delta"
-    beside = delta and left > FAR_ABOVE * limit
     fallen: list[Caution] = []
     seen: rivals.Seen = lambda model: model  # noqa: E731
+    counts: rivals.Counts = lambda model, instead: True  # noqa: E731
     found = None
     if delta and left > limit:
         found = accepted(regressors, selection, allows, progress)
@@ -60,26 +62,29 @@ def earned(
             _fell("not_its_own", effect, model, share=1.0 / max(over, 1.0)) for effect, model, over in found.rejected
         ]
         best, selection = found.best, found.continued(selection)
-        seen = found.given(problem, regressors.split)
-        allows = _but({effect for effect, _, _ in found.rejected}, allows)
-    best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
+        seen, none, least = found.seen, selection.none, found.least
+        counts = lambda model, instead: not 0.0 < least(none, model, instead) <= OWN  # noqa: E731
+        allows = _but({effect for effect, _, over in found.rejected if over > 0.0}, allows)
+    best, refits, fell = _borne_out(regressors, selection, best, kept_out, found)
     fallen += fell
     if refits and problem.recordings[0].mechanism.kind == "chain":
         best, refits, fell = _where_joints_are(regressors, selection, best, refits, kept_out)
         fallen += fell
     # where more than noise is left, it is not that by which a likelihood counts: blocks tell how it scatters
     explained = (best.loss / problem.count) ** 0.5 <= limit
-    standings = rivals.standings(regressors, selection, best, refits, allows, explained, seen)
+    standings = rivals.standings(regressors, selection, best, refits, allows, explained, seen, counts)
     told = [effect for effect, one in standings.items() if one.probability < LIKELY]
     for effect, one in standings.items():
         better = one.better if effect in told else one.simpler
-        if better is not None and fault_of(problem, better.hypothesis, given) is None:
+        if better is None or frozenset(better.names) in been:
+            continue
+        if fault_of(problem, better.hypothesis, given) is None and _may_replace(found, selection, one.without, better):
             changed = _in_its_place(selection, best, one.without, better)
-            return earned(regressors, changed, kept_out, allows, limit, progress)
+            return earned(regressors, changed, kept_out, allows, limit, progress, [*been, frozenset(best.names)])
     if told:
         fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]
         best = without(regressors.problem, regressors.split, selection.none, best, *told)
-        best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
+        best, refits, fell = _borne_out(regressors, selection, best, kept_out, found)
         fallen += fell
     kept = _cut(selection, best) if fallen else selection
     standings = {effect: replace(standings[effect], without=refit) for effect, refit in refits.items()}
@@ -91,8 +96,15 @@ def earned(
 
 
 def _but(gone: Collection[Effect], allows: Callable[[Effect, int], bool]) -> Callable[[Effect, int], bool]:
-    """The same without effects that are rejected: they are no rivals either."""
+    """The same without effects that explain by chance: they are no rivals either. What is not separable from the
+    discrepancies may be at work, and remains one."""
     return lambda effect, joint: effect not in gone and allows(effect, joint)
+
+
+def _may_replace(found: Accepted | None, selection: Selection, fewer: Scored, better: Scored) -> bool:
+    """Whether what a model has beyond `fewer` is accepted."""
+    names = [term.effect.name for term in added(better, fewer)]
+    return found is None or found.least(selection.none, better, names) > OWN
 
 
 def _in_its_place(selection: Selection, best: Scored, fewer: Scored, better: Scored) -> Selection:
@@ -104,7 +116,11 @@ def _in_its_place(selection: Selection, best: Scored, fewer: Scored, better: Sco
 
 
 def _borne_out(
-    regressors: Regressors, selection: Selection, best: Scored, kept_out: Sequence[Problem], beside: bool
+    regressors: Regressors,
+    selection: Selection,
+    best: Scored,
+    kept_out: Sequence[Problem],
+    found: Accepted | None = None,
 ) -> tuple[Scored, dict[Effect, Scored], list[Caution]]:
     """`best` with the effects that the data bear out, the same without each of these, and why each of the others
     fell."""
@@ -116,8 +132,8 @@ def _borne_out(
             refits[effect] = fewer = without(problem, split, selection.none, best, effect)
             caution = (
                 _open(best, split, effect)
-                or (None if beside else _varies(problem, best, effect))
-                or _carries_over(problem, split, best, fewer, effect, kept_out)
+                or (None if found else _varies(problem, best, effect))
+                or _carries_over(problem, split, best, fewer, effect, kept_out, found)
             )
             if caution is not None:
                 fallen.append(caution)
@@ -150,7 +166,7 @@ def _where_joints_are(
     if share > FOLLOWS:
         caution = Caution(code="misplaced", joints=[joint + 1], share=round(share, 4), advice="check_description")
         fallen.append(caution)
-    best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside=False)
+    best, refits, fell = _borne_out(regressors, selection, best, kept_out)
     return best, refits, fallen + fell
 
 
@@ -234,13 +250,15 @@ def _varies(problem: Problem, best: Scored, effect: Effect) -> Caution | None:
 
 
 def _carries_over(
-    problem: Problem, split: Split, best: Scored, without: Scored, effect: Effect, kept_out: Sequence[Problem]
-) -> Caution | None:
-    """Said of an effect that does not shrink the gap on data left out, or not on a log where it would have to."""
-    even = replace(problem, sigma=problem.sigma / problem.level(best.residuals))
+    problem: Problem, split: Split, best: Scored, without: Scored, effect: Effect, kept_out: Sequence[Problem],
+    found: Accepted | None,
+) -> Caution | None:  # fmt: skip
+    """Said of an effect that does not shrink the gap on data left out, or not on a log where it would have to. found:
+    what discrepancies are open."""
+    before, after = (one.residuals if found is None else found.seen(one).residuals for one in (without, best))
+    even = replace(problem, sigma=problem.sigma / problem.level(after))
     shrink = statistics.shrink(
-        statistics.pooled_squares(even, without.residuals, split),
-        statistics.pooled_squares(even, best.residuals, split),
+        statistics.pooled_squares(even, before, split), statistics.pooled_squares(even, after, split)
     )
     if shrink.low <= 0 or (1.0 - shrink.value) ** 2 > 1.0 - LEAST_GAIN:
         return _fell("no_shrink", effect, best, share=shrink.value)

@@ -31,6 +31,7 @@ from service.model.effects.base import Effect
 from service.model.hypothesis import Term
 
 Seen = Callable[[Scored], Scored]
+Counts = Callable[[Scored, Collection[str]], bool]
 
 SURE = 0.9  # probability from which a name is not asked about again
 CONFUSED = 0.05  # probability from which what stands in for a name is told beside it
@@ -99,13 +100,15 @@ def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelCompa
 def standings(
     regressors: Regressors, selection: Selection, best: Scored, refits: Mapping[Effect, Scored],
     allows: Callable[[Effect, int], bool], explained: bool, seen: Seen = lambda model: model,
+    counts: Counts = lambda model, instead: True,
 ) -> dict[Effect, Standing]:  # fmt: skip
     """How each effect of `best` stands against models without it, the others fitted anew beside each rival.
 
     When an effect was added, others that are at work were still in the gap, and what stood in for them. What all joints
     may have alike takes no name from an effect, but leaves it no surer than even. refits: `best` without each effect.
     explained: what `best` leaves is noise, so that a likelihood tells which of two is better. seen: a model with the
-    losses of its blocks as they count: given discrepancies, where more than noise is left.
+    losses of its blocks as they count: given discrepancies, where more than noise is left. counts: whether a model that
+    does better is accepted with what it has instead.
     """
     given = len(selection.none.hypothesis.terms)
     once = {}
@@ -113,7 +116,8 @@ def standings(
         where = frozenset(Counter(place for term in model.hypothesis.terms for place in _at(term)).items())
         if where not in once or model.loss < once[where][0].loss:
             once[where] = model, instead
-    rivals = list(once.values())
+    least = seen(best).loss
+    rivals = [(one, instead) for one, instead in once.values() if seen(one).loss > least or counts(one, instead)]
     alike = [(one, instead) for model, instead in rivals for one in _alike(model, instead, regressors.split)]
     others = [model for model, _ in rivals]
     apart = every = _weighed(regressors, best, others, refits, given, seen)

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.simulated.plant.mujoco_delta import Design, build, close
 from drivers.trace import read_trace
+from service.diagnosis.evidence.accepted import _furthest
 from service.diagnosis.pipeline import diagnose
 from tests.service.diagnosis.logs import ROBOT, record, swing
 from tests.service.diagnosis.test_null import disturbance
@@ -38,6 +39,22 @@ def belt(angles: np.ndarray) -> np.ndarray:
 def waves(angles: np.ndarray) -> np.ndarray:
     """(N, 3) N m on the third joint, that nothing in the motion shows."""
     return disturbance(round(1e3 * abs(float(angles[-1, 0]))), len(angles))[:, None] * [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("ratios", "place"),
+    [
+        ([], None),
+        ([99.0, 40.0], None),
+        ([99.0, 101.0, 300.0], 2),  # by how far it is over its null, not by what it explains
+        ([np.inf, 101.0], 1),  # what has no null only where no other is accepted
+        ([np.inf, 99.0], 0),
+        ([99.0, np.inf], None),  # and where it explains most
+    ],
+)
+def test_what_is_added_is_furthest_over_its_null(ratios, place):
+    """Of models that explain most first; 100 times are accepted."""
+    assert _furthest(ratios) == place
 
 
 HOSE = ("stribeck_friction", "joint_spring", "hose_spring", "torque_offset")

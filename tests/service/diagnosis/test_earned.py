@@ -271,7 +271,7 @@ def test_what_is_simpler_and_as_good_takes_the_place_of_what_was_taken(monkeypat
     found = Selection(chosen(made, RIPPLE).none, taken, [([taken], taken)], {})
     asked = []
 
-    def standings(regressors, selection, best, refits, allows, explained, seen):
+    def standings(regressors, selection, best, refits, allows, explained, seen, counts):
         asked.append(best.names)
         simpler = {"torque_offset": other}
         return {effect: Standing(refit, 0.5, [], np.inf, None, simpler.get(effect.name))
@@ -286,12 +286,32 @@ def test_what_is_simpler_and_as_good_takes_the_place_of_what_was_taken(monkeypat
     assert (kept.names, fallen) == (other.names if possible else taken.names, [])
 
 
+def test_of_two_that_are_each_simpler_than_the_other_neither_takes_the_place_again(monkeypatch):
+    """By measures that differ: it has to end."""
+    made = logs((1, 2, 3), "air_drag", "cogging")
+    one, other = (chosen(made, RIPPLE, term).best for term in (OFFSET, DRAG))
+    asked = []
+
+    def standings(regressors, selection, best, refits, allows, explained, seen, counts):
+        asked.append(best.names)
+        simpler = {"torque_offset": other, "air_drag": one}
+        return {effect: Standing(refit, 0.5, [], np.inf, None, simpler.get(effect.name))
+                for effect, refit in refits.items()}  # fmt: skip
+
+    monkeypatch.setattr(judged.rivals, "standings", standings)
+    monkeypatch.setattr(judged, "_borne_out", lambda regressors, selection, best, *_: (
+        best, {term.effect: selection.none for term in best.hypothesis.terms}, []))  # fmt: skip
+    found = Selection(chosen(made, RIPPLE).none, one, [([one], one)], {})
+    assert judge(made, found)[0].names == other.names
+    assert asked == [one.names, other.names]
+
+
 def stood(
     made: Problem, found: Selection, monkeypatch, limit: float = 1e3, /, **chances: tuple[float, float]
 ) -> tuple[str, ...]:
     """Names that stand, each with a probability and the standard errors that it is ahead."""
 
-    def standings(regressors, selection, best, refits, allows, explained, seen):
+    def standings(regressors, selection, best, refits, allows, explained, seen, counts):
         return {effect: Standing(refit, chances[effect.name][0], [], chances[effect.name][1])
                 for effect, refit in refits.items()}  # fmt: skip
 
@@ -328,7 +348,8 @@ def test_where_more_than_noise_is_left_effects_are_asked_given_discrepancies(mon
             best=spring,
             rejected=rejected,
             beside=lambda _: stub(cautions=list, noise=WHITE),
-            given=lambda *_: lambda model: model,
+            seen=lambda model: model,
+            least=lambda *_: np.inf,
             continued=lambda search: search,
         )
 
@@ -348,7 +369,8 @@ def test_beside_a_stranger_a_run_may_have_another_figure_by_what_is_left(monkeyp
         best=found.best,
         rejected=[],
         beside=lambda _: stub(cautions=list, noise=WHITE),
-        given=lambda *_: lambda model: model,
+        seen=lambda model: model,
+        least=lambda *_: np.inf,
         continued=lambda search: search,
     )
     monkeypatch.setattr(judged, "accepted", lambda *_: every)

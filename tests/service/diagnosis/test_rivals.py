@@ -128,6 +128,25 @@ def test_an_effect_has_to_be_worth_it():
         assert least < probability < least + 0.2
 
 
+@pytest.mark.parametrize("accepted", [True, False])
+def test_what_does_better_and_is_not_accepted_is_no_rival(accepted):
+    """Air drag does better than a true backlash beside a sloshing load, and is a share of what the load does."""
+    taken, other = model(ROWS, "taken"), model(ROWS - 100.0, "other")
+    effect, asked = taken.hypothesis.terms[0].effect, []
+
+    def counts(model, instead):
+        asked.append((model.names, instead))
+        return accepted
+
+    made = evidence.standings(
+        stub(problem=stub(count=ROWS), split=SPLIT), Selection(NONE, taken, [([taken, other], taken)], {}), taken,
+        {effect: NONE}, lambda effect, joint: True, False, counts=counts,
+    )[effect]  # fmt: skip
+    assert asked == [(("other",), ("other",))]
+    assert made.probability == pytest.approx(0.0 if accepted else 1.0, abs=1e-6)
+    assert made.confusable == (["other"] if accepted else [])
+
+
 def test_what_has_the_effect_too_is_no_rival_of_it():
     """Two were added at once, of which one went again; the other couples hold the one that stayed."""
     taken, kept = model(ROWS, "offset", "spring"), model(ROWS + 1.0, "offset")
