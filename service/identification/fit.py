@@ -15,7 +15,7 @@ from service.model.hypothesis import Hypothesis
 from service.model.parameters import FILTERED_LIMIT, LONGEST_DELAY, TIMING_LIMIT, Parameters
 from service.model.scene import Recording, Scene
 from service.model.signals import Band
-from service.model.torque import tangent
+from service.model.torque import expected, tangent
 
 # A recording a thread: filters, matrix products and compiled kernels let go of the interpreter.
 THREADS = ThreadPoolExecutor(os.cpu_count())
@@ -107,11 +107,19 @@ class Problem:
         """Rows of `joint` that count, of its (M, ...) on recording `index`, in units of the noise, as they weigh."""
         rows = self.rows[index][:, joint]
         unit = self.sigma[joint] / (self.weights[index][rows, joint] if self.weights else np.ones(1))
-        return values[rows] / unit.reshape(-1, *([1] * (values.ndim - 1)))
+        result = values[rows]
+        result /= unit.reshape(-1, *([1] * (values.ndim - 1)))
+        return result
 
     def select(self, index: int, values: np.ndarray) -> np.ndarray:
         """The same of (M, n, ...), joint after joint."""
-        return np.concatenate([self.of_joint(index, joint, values[:, joint]) for joint in range(len(self.sigma))])
+        result = np.empty((np.count_nonzero(self.rows[index]), *values.shape[2:]))
+        end = 0
+        for joint in range(len(self.sigma)):
+            part = self.of_joint(index, joint, values[:, joint])
+            start, end = end, end + len(part)
+            result[start:end] = part
+        return result
 
 
 class Again(Sequence[np.ndarray]):
@@ -194,14 +202,16 @@ class Fit:
         return float(sum(r @ r for r in self.residuals))
 
 
-def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
-    """Residuals and tangents at the hypothesis's own parameters; its base is the operating point."""
+def evaluate(problem: Problem, hypothesis: Hypothesis, scenes: Sequence[Scene] | None = None) -> Fit:
+    """Residuals and tangents at the hypothesis's own parameters; its base is the operating point. scenes: as it sees
+    the recordings, where they are known already."""
 
     def one(index: int, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         prediction, slope = tangent(scene, hypothesis, problem.band)
         return problem.select(index, problem.target[index] - prediction), problem.select(index, slope)
 
-    parts = list(THREADS.map(one, range(len(problem.recordings)), problem.scenes(hypothesis)))
+    scenes = problem.scenes(hypothesis) if scenes is None else scenes
+    parts = list(THREADS.map(one, range(len(problem.recordings)), scenes))
     residuals, tangents = [residual for residual, _ in parts], [slope for _, slope in parts]
     parameters = Parameters(hypothesis)
     mechanism, period = problem.recordings[0].mechanism, problem.band.period
@@ -246,17 +256,32 @@ def fit(
         may = np.ones(len(start), bool) if moved is None else moved
         step = within(gram, moment, np.where(may, low - start, 0.0), np.where(may, high - start, 0.0))
         for share in (1.0, 0.5, 0.2, 0.05):
-            candidate = evaluate(problem, parameters.at(start + share * step))
-            equations = _equations(candidate, noise)
-            if equations[2] < cost:
+            candidate = parameters.at(start + share * step)
+            scenes = problem.scenes(candidate)
+            if _square(_residuals(problem, candidate, scenes), noise) < cost:
                 break
         else:
             return best
-        done = equations[2] > cost * (1.0 - SETTLED)
-        best, (gram, moment, cost) = candidate, equations
-        if done:
+        del best  # its tangents, while those of the next are made
+        best, before = evaluate(problem, candidate, scenes), cost
+        gram, moment, cost = _equations(best, noise)
+        if cost > before * (1.0 - SETTLED):
             break
     return best
+
+
+def _residuals(problem: Problem, hypothesis: Hypothesis, scenes: Sequence[Scene]) -> list[np.ndarray]:
+    """(R,) a recording, as `evaluate` has them: a step that does not help needs no tangents."""
+
+    def one(index: int, scene: Scene) -> np.ndarray:
+        return problem.select(index, problem.target[index] - expected(scene, hypothesis, problem.band))
+
+    return list(THREADS.map(one, range(len(scenes)), scenes))
+
+
+def _square(residuals: Sequence[np.ndarray], noise: Correlated) -> float:
+    """Squared residuals (R,) a recording, as the noise weighs them."""
+    return float(sum(r @ w for r, w in zip(residuals, noise.weighed(residuals), strict=True)))
 
 
 def _equations(fitted: Fit, noise: Correlated) -> tuple[np.ndarray, np.ndarray, float]:
@@ -265,7 +290,7 @@ def _equations(fitted: Fit, noise: Correlated) -> tuple[np.ndarray, np.ndarray, 
     slopes, left = noise.weighed(tangents), noise.weighed(residuals)
     gram = np.asarray(sum(t.T @ w for t, w in zip(tangents, slopes, strict=True)))
     moment = np.asarray(sum(t.T @ w for t, w in zip(tangents, left, strict=True)))
-    return gram, moment, float(sum(r @ w for r, w in zip(residuals, left, strict=True)))
+    return gram, moment, _square(residuals, noise)
 
 
 def within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray | float) -> np.ndarray:

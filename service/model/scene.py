@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -103,6 +104,11 @@ class Recording:
                 (above - 2 * middle + below) / GEOMETRY_STEP**2,
             )
         return self._by_geometry[part, arm]
+
+    @cached_property
+    def in_band(self) -> dict[Hashable, np.ndarray]:
+        """What `torque` keeps from one operating point to the next."""
+        return {}
 
     @cached_property
     def _by_geometry(self) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:

@@ -194,11 +194,10 @@ def _lowpassed(sections, settled, values, step, result):
         for c in range(width):
             nonzero[c] |= values[k, c] != 0.0
     live = np.flatnonzero(nonzero)
-    longer = np.empty((count + 2 * PADDING, min(CHUNK, max(1, len(live)))))
     last = PADDING + count - 1
     for at in range(0, len(live), CHUNK):
         some = live[at : at + CHUNK]
-        part = longer[:, : len(some)]
+        part = np.empty((count + 2 * PADDING, len(some)))  # columns side by side in memory, so that they run at once
         for k in range(count):
             for i, c in enumerate(some):
                 part[PADDING + k, i] = values[k, c]

@@ -86,6 +86,18 @@ def predict(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
     return torque
 
 
+def expected(scene: Scene, hypothesis: Hypothesis, band: Band) -> np.ndarray:
+    """Prediction (M, n) in the band, as `tangent` has it."""
+    torque = scene.total + _own(scene, hypothesis.terms, [[] for _ in hypothesis.terms])[0]
+    torque = delayed(reported(scene, hypothesis, torque), hypothesis.base.timing, scene.period)
+    return _narrowed(band, hypothesis)(torque)
+
+
+def _narrowed(band: Band, hypothesis: Hypothesis) -> Band:
+    """The band as far as the torque follows the motion as modelled."""
+    return replace(band, cutoff_hz=min(band.cutoff_hz, hypothesis.base.band_hz))
+
+
 def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarray, np.ndarray]:
     """Prediction (M, n) and its derivative (M, n, F) by every free parameter of `Parameters`, in the band."""
     n = scene.joints
@@ -93,11 +105,9 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     own, changes = _own(scene, hypothesis.terms, moved)
     torque = scene.total + own
     base, rows = hypothesis.base, scene.mechanism.rows
-    columns = scene.recording.rigid.columns
-    at_joint: list[np.ndarray] = [columns if base.wanted is None else columns[..., base.wanted]]
-    at_joint += [scene.sliding[:, None] * rows.T, scene.friction_direction[:, None] * rows.T]
     wider = mean_direction(scene.sliding, 1.05 * base.transition) - scene.friction_direction
     widening = (base.coulomb * wider / (0.05 * base.transition))[:, None] * rows.T
+    at_joint = [scene.friction_direction[:, None] * rows.T]
     at_joint.append(widening if np.ndim(base.transition) else widening.sum(axis=-1, keepdims=True))
     if hypothesis.fits_timing:
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
@@ -128,8 +138,26 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     columns[..., 0] = delayed(columns[..., 0], hypothesis.base.timing, scene.period)  # slopes can do without
     for index, values in raw.items():
         columns[..., index + 1] = values
-    columns = replace(band, cutoff_hz=min(band.cutoff_hz, base.band_hz))(columns)
-    return columns[..., 0], columns[..., 1:]
+    band = _narrowed(band, hypothesis)
+    lasting, columns = _of_motion(scene, hypothesis, band), band(columns)
+    return columns[..., 0], np.concatenate([lasting, columns[..., 1:]], axis=-1)
+
+
+def _of_motion(scene: Scene, hypothesis: Hypothesis, band: Band) -> np.ndarray:
+    """(M, n, k + F) in the band: slopes by the rigid coefficients that a fit moves and by viscous friction, which no
+    parameter alters but those of what lies between torque and report. The last ones are kept with the recording."""
+    measured = [term for term in hypothesis.terms if term.effect.measured]
+    wanted = hypothesis.base.wanted
+    places = [(term.effect, term.joints, term.amplitude.tobytes(), term.nonlinear) for term in measured]
+    key = (band, None if wanted is None else wanted.tobytes(), *places)
+    kept = scene.recording.in_band
+    if (found := kept.get(key)) is None:
+        rigid = scene.recording.rigid.columns
+        rubs = scene.sliding[:, None] * scene.mechanism.rows.T
+        columns = np.concatenate([rigid if wanted is None else rigid[..., wanted], rubs], axis=-1)
+        kept.clear()  # before the next are made: they are large
+        found = kept[key] = band(reported(scene, hypothesis, columns))
+    return found
 
 
 def _moved(term: Term) -> list[tuple[tuple[float, ...], float]]:

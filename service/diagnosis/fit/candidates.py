@@ -16,7 +16,7 @@ import numpy as np
 
 from service.identification.fit import THREADS, Fit, Problem, solve, within
 from service.identification.folds import Split
-from service.model.effects.base import Effect, on_joint
+from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
 from service.model.scene import Scene
 from service.model.torque import reported
@@ -129,9 +129,8 @@ class Regressors:
         for effect, keys in groupby(self.index, key=itemgetter(0)):
             places = [(joint, [point for *_, point in points]) for joint, points in groupby(keys, key=itemgetter(1))]
             if effect.own_joint:
-                values = [columns_of(scene, hypothesis, effect, *place) for place in places]
-                ends = np.cumsum([part.shape[-1] for part in values])[:-1]
-                yield [joint for joint, _ in places], np.split(band(np.concatenate(values, axis=-1)), ends, axis=-1)
+                own = band(_of_own_joints(scene, hypothesis, effect, places))
+                yield [joint for joint, _ in places], [own[:, joint] for joint, _ in places]
                 continue
             for place in places:
                 yield range(scene.joints), list(band(columns_of(scene, hypothesis, effect, *place)).swapaxes(0, 1))
@@ -147,16 +146,26 @@ def _by_fold(pieces: Sequence[Piece], folds: int) -> list[list[Piece]]:
     return [[piece for piece in pieces if piece.fold == fold] for fold in range(folds)]
 
 
+def _of_own_joints(
+    scene: Scene, hypothesis: Hypothesis, effect: Effect, places: Sequence[tuple[int, Sequence[tuple[float, ...]]]]
+) -> np.ndarray:
+    """(N, n, K) as reported, of an effect on each of `places`, a joint and the points of its grid: what it adds to the
+    joint that it sits on."""
+    result: np.ndarray | None = None
+    for joint, grid in places:
+        values = effect.columns(scene, joint, grid)
+        if result is None:
+            result = np.zeros((len(values), scene.joints, values.shape[-1]))
+        result[:, joint] = values
+    assert result is not None
+    return reported(scene, hypothesis, result)
+
+
 def columns_of(
     scene: Scene, hypothesis: Hypothesis, effect: Effect, joint: int, grid: Sequence[tuple[float, ...]]
 ) -> np.ndarray:
-    """As reported: (N, K) on its own joint, (N, n, K) of an effect that reaches others."""
-    values = effect.columns(scene, joint, grid)
-    if not effect.own_joint:
-        return reported(scene, hypothesis, values)
-    if not any(term.effect.measured for term in hypothesis.terms):
-        return values
-    return reported(scene, hypothesis, on_joint(values, joint, scene.joints))[:, joint].copy()  # without the others
+    """(N, n, K) as reported, of an effect that reaches other joints than its own."""
+    return reported(scene, hypothesis, effect.columns(scene, joint, grid))
 
 
 class Dictionary:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from service.diagnosis.fit.candidates import JOINT_SHARE, Dictionary, Regressors
+from service.diagnosis.fit.candidates import JOINT_SHARE, Candidate, Dictionary, Regressors
 from service.diagnosis.fit.sound import Fault, fault_of
 from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Fit, Problem, fit
@@ -203,13 +203,11 @@ def additions(
     what is wrong with the first of them."""
     problem, mechanism = regressors.problem, regressors.problem.recordings[0].mechanism
     progress("comparing the effects of the catalogue")
-    dictionary = Dictionary(regressors, best.fitted)
     exact: list[Scored] = []
-    for loss, candidate in dictionary.ranking(best.hypothesis.terms, mechanism.joints, allows)[:SHORTLIST]:
-        if dictionary.nothing - loss > LEAST_GAIN * problem.count:
-            progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
-            added = score(fit_added(problem, best.fitted, candidate.term()), regressors.split)
-            exact.append(added.light(problem))
+    for candidate in _promising(regressors, best, allows):
+        progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
+        added = score(fit_added(problem, best.fitted, candidate.term()), regressors.split)
+        exact.append(added.light(problem))
     if not exact:
         return [], None
 
@@ -221,6 +219,14 @@ def additions(
 
     (first, *others), fault = _sound_first(problem, exact, best, none, given, order)
     return [first.whole(), *others], fault
+
+
+def _promising(regressors: Regressors, best: Scored, allows: Callable[[Effect, int], bool]) -> list[Candidate]:
+    """Candidates to be fitted exactly, best first. The products that rank them are large, and given up behind it."""
+    problem, dictionary = regressors.problem, Dictionary(regressors, best.fitted)
+    ranked = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
+    least = LEAST_GAIN * problem.count
+    return [candidate for loss, candidate in ranked[:SHORTLIST] if dictionary.nothing - loss > least]
 
 
 def _sound_first(

@@ -196,3 +196,22 @@ def test_a_light_fit_has_its_tangents_when_they_are_asked_for() -> None:
         np.testing.assert_array_equal(again.tangents[0], full.tangents[0])
     assert light.cost == full.cost
     assert isinstance(light.whole().tangents, list)
+
+
+@pytest.mark.parametrize("effect", ["torque_delay", "torque_filter", "torque_scale"])
+def test_what_is_kept_of_a_recording_is_never_that_of_another_report(effect: str) -> None:
+    """Slopes of the torque by what was reported before and after, against finite differences of the prediction."""
+    run = course(1, 1.0)
+    made = problem([run], [run.torque])
+    term = INJECTED[effect].term(effect)
+    hypotheses = [Hypothesis(BASE), Hypothesis(BASE, (term,)), Hypothesis(BASE)]
+    if term.nonlinear:
+        hypotheses.insert(2, Hypothesis(BASE, (replace(term, nonlinear=(1.5 * term.nonlinear[0],)),)))
+    for hypothesis in hypotheses:
+        parameters = Parameters(hypothesis)
+        start = parameters.values[parameters.free]
+        for index in (0, 4):  # rho_1, viscous friction of joint 2
+            step = 1e-4 * (np.arange(len(start)) == index)
+            above, below = (evaluate(made, parameters.at(start + way * step)).residuals[0] for way in (1, -1))
+            slope = evaluate(made, hypothesis).tangents[0][:, index]
+            np.testing.assert_allclose(slope, (below - above) / 2e-4, atol=1e-6 * np.abs(slope).max())

@@ -185,3 +185,12 @@ def test_derivatives_are_differences_of_the_columns(tmp_path: Path, more: str, o
         above, below = ([x + way * step if i == part else x for i, x in enumerate(motion)] for way in (1, -1))
         expected = (torque(*above) - torque(*below)) / 2e-5
         np.testing.assert_allclose(slopes[joint, :, :, part], expected, atol=5e-4)
+
+
+def test_all_rows_in_one_call_are_those_of_one_call_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pinocchio built without OpenMP has only the latter."""
+    found = mechanism(tmp_path)
+    theta, speed, acceleration = MOTION
+    at_once = found.torque(theta, speed, acceleration, found.start)
+    monkeypatch.delattr(sys.modules["pinocchio"], "rneaInParallel", raising=False)
+    np.testing.assert_array_equal(found.torque(theta, speed, acceleration, found.start), at_once)
