@@ -125,8 +125,9 @@ def load(path: Path) -> bytes:
     if zero >= 0:
         what = "an Excel file or an archive, save it as CSV" if raw.startswith(b"PK") else f"starts with {raw[:8]!r}"
         raise TraceError(f"{path}: not a text table: zero byte at offset {zero} ({what})")
-    for space in (b"\xc2\xa0", b"\xe2\x80\xaf"):  # between groups of digits, as French spreadsheets write it
-        raw = raw.replace(space, b" ")
+    if not raw.isascii():
+        for space in (b"\xc2\xa0", b"\xe2\x80\xaf"):  # between groups of digits, as French spreadsheets write it
+            raw = raw.replace(space, b" ")
     return raw.removeprefix(b"\xef\xbb\xbf")
 
 
@@ -187,9 +188,10 @@ def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
         raise TraceError(f"{path}: not {columns.encoding} text: {error}{_LATIN}") from error
     if columns.thousands is not None:
         body = re.sub(rb"(?<=\d)%b(?=\d{3}(?!\d))" % re.escape(columns.thousands.encode()), b"", body)
-    *rows, end = body.rstrip().rsplit(b"\n", 1)
-    if rows and end.strip().strip(b'"') == END_TAG:
-        body = rows[0] + b"\n"
+    text = body.rstrip()
+    last = text.rfind(b"\n") + 1
+    if last and text[last:].strip().strip(b'"') == END_TAG:
+        body = text[:last]
     names = _fields(header, columns.separator)
     if not columns.header_line:
         names = [str(1 + i) for i in range(_first_line(body).count(columns.separator.encode()) + 1)]

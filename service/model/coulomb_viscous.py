@@ -76,4 +76,6 @@ def mean_direction(theta_dot: np.ndarray, transition: float | np.ndarray) -> np.
     area = size + np.log1p(np.exp(-2.0 * size))  # integral of tanh, up to a constant
     step = np.diff(half, axis=0)
     flat = np.abs(step) < 1e-4
-    return np.where(flat, np.tanh(theta_dot / transition), np.diff(area, axis=0) / np.where(flat, 1.0, step))
+    result = np.diff(area, axis=0) / np.where(flat, 1.0, step)
+    result[flat] = np.tanh((theta_dot / transition)[flat])
+    return result
