@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -56,26 +58,35 @@ def terms_of(robot: Description) -> tuple[Term, ...]:
 
 
 def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -> Term:
-    effect, at = effects.get(entry_.name), f"robot {robot.name}: effect {entry_.name}"
+    effect, at = effects.get(entry_.name), f"{robot.origin}: effect {entry_.name}"
     if effect is None:
         hint = f"nor in {robot.effects_file}" if robot.effects_file else "give the file that defines it with --effects"
-        raise RobotError(f"{at}: not in the catalogue; {hint}")
+        raise RobotError(f"{at}: not in the catalogue{_meant(entry_.name, effects)}; {hint}")
     if any(joint > robot.count for joint in entry_.joints):
         raise RobotError(f"{at}: joints {entry_.joints}: the joints are 1 to {robot.count}")
     joints = tuple(joint - 1 for joint in entry_.joints) if effect.per_joint else ()
     blank = Term.blank(effect, joints, (0.0,) * len(effect.nonlinear))
-    keys = [parameter.name for parameter in parameters_of(blank)]
+    units = {parameter.name: parameter.unit for parameter in parameters_of(blank)}
+    keys = list(units)
     kept = {name: searched.grid[0] for name, searched in effect.nonlinear.items() if searched.fixed}
+    for key, parameter in entry_.parameters.items():
+        if key not in units:
+            raise RobotError(f"{at}: unknown parameter {key!r}{_meant(key, units)}")
+        unit = in_units_of(robot, units[key])
+        if parameter.unit not in ("", unit):
+            raise RobotError(f"{at}: {key}: unit {parameter.unit!r}: {f'it is {unit!r}' if unit else 'it has none'}")
     for key in keys:
         if key not in entry_.parameters and key not in kept:
             raise RobotError(f"{at}: parameter {key!r} is missing")
-    for key in entry_.parameters:
-        if key not in keys:
-            raise RobotError(f"{at}: unknown parameter {key!r}")
     given = {key: parameter.value for key, parameter in entry_.parameters.items()}
     numbers = np.array([(kept | given)[key] for key in keys])
     amplitude = numbers[: blank.amplitude.size].reshape(blank.amplitude.shape)
     return replace(blank, amplitude=amplitude, nonlinear=tuple(float(v) for v in numbers[blank.amplitude.size :]))
+
+
+def _meant(name: str, known: Iterable[str]) -> str:
+    near = get_close_matches(name, known, 1)
+    return f" (is {near[0]!r} meant?)" if near else ""
 
 
 def base_of(robot: Description) -> Base:

@@ -63,7 +63,7 @@ def catalogue(extra: Path | None = None) -> tuple[Effect, ...]:
             raise RobotError(f"effect {point.name} = {point.value}: {type(error).__name__}: {error}") from error
     if extra is not None:
         if not extra.is_file():
-            raise RobotError(f"{extra}: not a Python file")
+            raise RobotError(f"{extra}: no such file; a Python file with effects is needed")
         found += _from_file(extra.resolve(), extra.stat().st_mtime_ns)
     names = [effect.name for effect in found]
     for name in names:

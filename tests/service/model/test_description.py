@@ -75,7 +75,7 @@ def test_an_effect_of_ones_own_is_in_the_torque(files):
 
 
 def test_a_missing_effect_is_named(files):
-    with pytest.raises(RobotError, match=r"robot bench: effect bump: not in the catalogue; .* --effects"):
+    with pytest.raises(RobotError, match=r"axes\.toml: effect bump: not in the catalogue; .* --effects"):
         terms_of(load_axes(files / "axes.toml"))
 
 
@@ -220,8 +220,16 @@ def test_effects_are_read_as_they_were_written() -> None:
         terms_of(wrong(joints=[1, 4]))
     with pytest.raises(RobotError, match="parameter 'v_s' is missing"):
         terms_of(wrong(parameters={name: parameters[name] for name in ("f_s_1", "f_s_3")}))
-    with pytest.raises(RobotError, match="unknown parameter 'slope'"):
+    with pytest.raises(RobotError, match=r"unknown parameter 'slope'$"):
         terms_of(wrong(parameters=parameters | {"slope": parameters["v_s"]}))
+    misspelt = {("vs" if name == "v_s" else name): one for name, one in parameters.items()}
+    with pytest.raises(RobotError, match=r"unknown parameter 'vs' \(is 'v_s' meant\?\)"):
+        terms_of(wrong(parameters=misspelt))
+    with pytest.raises(RobotError, match=r"effect stribek_friction: .* \(is 'stribeck_friction' meant\?\)"):
+        terms_of(wrong(name="stribek_friction"))
+    slow = parameters["v_s"].model_copy(update={"unit": "deg/s"})
+    with pytest.raises(RobotError, match="v_s: unit 'deg/s': it is 'rad/s'"):
+        terms_of(wrong(parameters=parameters | {"v_s": slow}))
 
 
 def test_a_quantity_that_is_never_searched_may_be_left_out() -> None:
