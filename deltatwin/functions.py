@@ -179,7 +179,7 @@ def diagnose(
     from service.diagnosis.pipeline import diagnose as find
     from service.model.effects import catalogue
 
-    logs, kept = as_list(traces), as_list(tests)
+    logs, kept = as_list(traces), as_list(tests, least=0)
     findings = find(robot, logs, catalogue(None if effects is None else Path(effects)), progress, baseline, kept)
     tried = online_trial(findings, logs, kept, [])
     return DiagnosisResult(

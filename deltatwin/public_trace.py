@@ -16,7 +16,7 @@ from drivers.trace.from_columns import assemble, plan
 from drivers.trace.quality import RowNames, check
 from schemas.axes_description import Description
 from schemas.columns import Columns
-from schemas.errors import TraceError
+from schemas.errors import DataError, TraceError
 from schemas.messages import NANOSECONDS
 
 if TYPE_CHECKING:
@@ -188,6 +188,16 @@ def _numbers(key: str, values: Any, name: str) -> np.ndarray:
         raise TraceError(f"{name}: {key} does not contain numbers: {error}") from None
 
 
-def as_list(traces: recorded.Trace | Sequence[recorded.Trace]) -> list[recorded.Trace]:
-    """One trace, or several, as a list."""
-    return [traces] if isinstance(traces, recorded.Trace) else list(traces)
+def as_list(traces: recorded.Trace | Sequence[recorded.Trace], least: int = 1) -> list[recorded.Trace]:
+    """One trace, or several, as a list.
+
+    Raises:
+        DataError: fewer than `least`, or what is no trace, naming it.
+    """
+    found = [traces] if isinstance(traces, recorded.Trace) else list(traces)
+    for one in found:
+        if not isinstance(one, recorded.Trace):
+            raise DataError(f"{one!r}: not a trace; read it with deltatwin.read_trace")
+    if len(found) < least:
+        raise DataError("no trace is given")
+    return found

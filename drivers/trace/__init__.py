@@ -98,6 +98,8 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
                 parts_of(path)
             raise TraceError(f"{path}: the meaning of its columns is not known: first run deltatwin import {path.name}")
         return _foreign(path, robot, mapping)
+    if not path.exists():
+        raise TraceError(f"{path}: No such file or directory")
     endings = ", ".join((".csv", ".csv.gz", *TABLE_ENDINGS, ".pcap", ".pcapng"))
     raise TraceError(f"{path}: unknown kind of trace: its name must end in one of {endings}")
 

@@ -72,14 +72,14 @@ def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None
     try:
         summary = read_summary(stream, path)
         if summary is None:
-            raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?): deltatwin recover {path}")
+            raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?): {_remedy(path)}")
         topic, dtype, message = _sample_topic(summary.channels, summary.schemas, path, robot)
         ids = [channel.id for channel in summary.channels.values() if channel.topic == topic]
         ((data, _),) = read_messages(stream, path, [Wanted(topic, ids, dtype.itemsize)])
     except MessageError as error:
         raise TraceError(str(error)) from error
     except StorageError as error:
-        raise TraceError(f"{error} (not a whole MCAP file); a killed writer's log: deltatwin recover {path}") from error
+        raise TraceError(f"{error} (not a whole MCAP file); a killed writer's log: {_remedy(path)}") from error
     if len(data) == 0:
         raise TraceError(f"{path}: no messages on {topic}")
     samples = data.reshape(-1).view(dtype)
@@ -93,6 +93,10 @@ def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None
     for name in dtype.names or ():
         current[name] = samples[name]
     return current
+
+
+def _remedy(path: Path) -> str:
+    return f"deltatwin recover {path} {path.stem}-whole.mcap"
 
 
 def _sample_topic(

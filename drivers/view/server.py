@@ -54,7 +54,7 @@ class LiveView:
                 name=f"deltatwin {robot.name}", host=host, port=port, context=context, message_backlog_size=BACKLOG
             )
         except RuntimeError as error:
-            raise BusError(f"{host}:{port}: {error}") from error
+            raise BusError(f"{host}:{port}: {error}; --port 0 takes a free one") from error
 
     @property
     def port(self) -> int:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
+
+if TYPE_CHECKING:
+    from schemas.robot import Robot
 
 
 def command(
@@ -43,6 +46,8 @@ def command(
         typer.echo(
             f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True
         )
+    if isinstance(description, Robot) and description.limits.peak_torque_nm is None:
+        typer.echo(assumed_limit(robot, description), err=True)
     keeper = None if keep is None else Keeper(keep, as_delta(description, Question.LEARNING))
     check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
     typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)
@@ -54,3 +59,11 @@ def command(
             run(description, bus, standing, keeper=keeper)
         except KeyboardInterrupt:
             typer.echo("estimate: stopped", err=True)
+
+
+def assumed_limit(file: Path, robot: Robot) -> str:
+    """What stands in for a largest torque that a description does not state."""
+    from service.estimator.bounds import bounds_of
+
+    peak, most = bounds_of(robot).peak_nm, robot.limits.max_payload_kg
+    return f"{file}: limits.peak_torque_nm is not set: {peak:.3g} N m assumed, the torque at 10 g with {most:g} kg"

@@ -48,13 +48,13 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
         return f"{robot.name} was never identified: only the textbook model can be compared.", False
     name, moments = list(pooled_by_model(results, "calm").items())[-1]
     unit = in_units_of(robot, "N m")
-    left = f"The model '{name}' has a residual of {_each(moments.rms)} {unit} rms"
+    logs = "these logs outside the events" if any(result.events for result in results) else "these logs"
     noise = _noise(robot, results)
     if noise is None:
+        left = f"The model '{name}' has a residual of {_each(moments.rms)} {unit} rms on {logs}"
         return f"{left}; the description does not contain the noise level to compare it with.", True
     ratio = moments.rms / noise
-    events = any(result.events for result in results)
-    said = _over_noise(ratio, f"The model '{name}'", "these logs outside the events" if events else "these logs")
+    said = _over_noise(ratio, f"The model '{name}'", logs)
     error = robot.model_error
     if error is not None:
         then = moments.rms / np.hypot(error.value, noise)

@@ -186,6 +186,18 @@ def test_what_is_wrong_with_arrays_is_one_line_or_a_flag() -> None:
     assert "1 rows flagged" in repr(found)
 
 
+def test_what_is_no_trace_is_said(demo: tuple) -> None:
+    robot, trace = demo
+    with pytest.raises(dt.DataError, match="no trace is given"):
+        dt.identify(robot, [])
+    with pytest.raises(dt.DataError, match="no trace is given"):
+        dt.evaluate(robot, [])
+    with pytest.raises(dt.DataError, match=r"'picks.csv': not a trace; read it with deltatwin.read_trace"):
+        dt.identify(robot, ["picks.csv"])  # type: ignore[list-item]
+    with pytest.raises(dt.DataError, match="give it only once"):
+        dt.diagnose(robot, [trace], tests=[trace])
+
+
 def test_stamps_of_the_calendar_keep_their_nanoseconds() -> None:
     begin = np.datetime64("2026-01-31T08:00:00.123456789")
     stamps = begin + np.arange(1000) * np.timedelta64(1_000_000, "ns")

@@ -244,7 +244,7 @@ def test_unusable_files(tmp_path: Path, name: str, content: bytes, message: str)
         read_trace(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["none.csv", "none.mcap"])
+@pytest.mark.parametrize("name", ["none.csv", "none.mcap", "none"])
 def test_no_such_file(tmp_path: Path, name: str) -> None:
     with pytest.raises(TraceError, match=rf"{name}: No such file or directory"):
         read_trace(tmp_path / name)

@@ -79,7 +79,7 @@ def test_a_platform_is_put_right_where_it_stands_out(
     assert [figure.changed for figure in made.figures] == off
     assert made.figures[3].value == pytest.approx(1.3 + change)
     assert made.robot.mass.platform == pytest.approx(1.3 + change)
-    assert [line[:22] for line in made.warnings] == [f"mass.platform: {1.3 + change:.3f} +"] * right
+    assert [line[:22] for line in made.warnings] == [f"mass.platform: {1.3 + change:.3f} ±"] * right
 
 
 def test_a_platform_of_nothing_is_refused(monkeypatch: pytest.MonkeyPatch, robot: Robot) -> None:
