@@ -172,14 +172,17 @@ def diagnose(
         The document (as `diagnosis.json`), its sentences, and the corrected robot.
 
     Raises:
-        DataError: no joint moves, a torque that was not recorded, logs of several rates. TraceError: a log is unusable.
+        DataError: no joint moves, a torque that was not recorded, logs of several rates, a log that is given twice.
+        TraceError: a log is unusable.
     """
     from service.diagnosis.documents.document import corrected, document, frequency_response
     from service.diagnosis.documents.worth import online_trial
     from service.diagnosis.pipeline import diagnose as find
+    from service.identification.copies import refuse_copies
     from service.model.effects import catalogue
 
     logs, kept = as_list(traces), as_list(tests, least=0)
+    refuse_copies([*logs, *kept])
     findings = find(robot, logs, catalogue(None if effects is None else Path(effects)), progress, baseline, kept)
     tried = online_trial(findings, logs, kept, [])
     return DiagnosisResult(

@@ -65,6 +65,7 @@ def command(
     from service.diagnosis.documents.text import paragraphs
     from service.diagnosis.documents.worth import online_trial
     from service.diagnosis.pipeline import diagnose
+    from service.identification.copies import refuse_copies
     from service.identification.weighed_picks import read_truth
     from service.model.effects import catalogue
     from service.pages import browser, print_page
@@ -79,6 +80,7 @@ def command(
     reference = load_description(baseline, effects) if baseline else None
     recorded = list(reading(traces, description, columns, "reading"))
     tests = list(reading(test or [], description, columns, "reading"))
+    refuse_copies([*recorded, *tests])
     carriers = list(reading(loaded or [], description, columns, "reading"))
     picks = [read_truth(path) for path in loads or []]
     with console(stderr=True).status("starting") as status:

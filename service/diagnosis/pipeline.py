@@ -32,7 +32,6 @@ from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import WITHIN_NOISE, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.angle_unit import refuse_wrong_angles
-from service.identification.copies import refuse_copies
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
@@ -63,10 +62,9 @@ def diagnose(
     Raises:
         RobotError: the baseline is of another robot.
         TraceError: a trace without a usable part, naming the file. DataError: no joint moves, a torque that was
-        not recorded, logs of several rates, or a log that is given twice.
+        not recorded, or logs of several rates.
         PoseError: positions that are no pose of the robot.
     """
-    refuse_copies([*traces, *tests])
     progress("smoothing the motion")
     mechanism = mechanism_of(robot)
     parts = [(index, segment) for index, mine in enumerate(segments_of(traces)) for segment in mine]

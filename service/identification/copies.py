@@ -1,4 +1,7 @@
-"""Is a log given twice? A copy, whole or in part, is no second measurement: held out, it is not held out."""
+"""Is a log given twice? A copy, whole or in part, is no second measurement: held out, it is not held out.
+
+Asked of files that a user gives. A stretch of the bus may repeat: a log is played round and round.
+"""
 
 from __future__ import annotations
 
