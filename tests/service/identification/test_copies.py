@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from drivers.trace import write_trace
 from schemas.errors import DataError
 from schemas.trace import Trace
+from service.cli.main import app
 from service.identification.copies import refuse_copies
 
 
@@ -57,3 +60,12 @@ def test_a_copy_with_a_row_that_differs_is_one() -> None:
 def test_logs_at_rest_are_not_compared() -> None:
     rest = Trace(Path("rest.csv"), np.arange(500) * 1e-3, np.zeros((500, 3)), np.zeros((500, 3)))
     refuse_copies([rest, replace(rest, path=Path("also.csv"))])
+
+
+@pytest.mark.parametrize("given", [("{a}", "{a}"), ("{a}", "--test", "{a}")])
+def test_the_command_refuses_a_log_given_twice(tmp_path: Path, given: tuple[str, ...]) -> None:
+    write_trace(log("a.csv", 1), tmp_path / "a.csv", "d3-1200")
+    logs = [part.format(a=tmp_path / "a.csv") for part in given]
+    done = CliRunner().invoke(app, ["diagnose", *logs, "--robot", "d3-1200", "--out", str(tmp_path / "out")])
+    assert isinstance(done.exception, DataError), done.output
+    assert "give it only once" in str(done.exception)
