@@ -79,8 +79,7 @@ def reported(scene: Scene, hypothesis: Hypothesis, torque: np.ndarray) -> np.nda
 
 def predict(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
     """Reported torque (N, n) N m that the hypothesis expects."""
-    torque = reported(scene, hypothesis, unreported(scene, hypothesis))
-    torque = delayed(torque, hypothesis.base.timing, scene.period)
+    torque = _in_time(scene, hypothesis)
     if hypothesis.base.band_hz < 0.5 / scene.period:
         return lowpass(torque, scene.period, hypothesis.base.band_hz)
     return torque
@@ -88,9 +87,12 @@ def predict(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
 
 def expected(scene: Scene, hypothesis: Hypothesis, band: Band) -> np.ndarray:
     """Prediction (M, n) in the band, as `tangent` has it."""
-    torque = scene.total + _own(scene, hypothesis.terms, [[] for _ in hypothesis.terms])[0]
-    torque = delayed(reported(scene, hypothesis, torque), hypothesis.base.timing, scene.period)
-    return _narrowed(band, hypothesis)(torque)
+    return _narrowed(band, hypothesis)(_in_time(scene, hypothesis))
+
+
+def _in_time(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
+    """Reported torque (N, n) N m at the samples of the position, at all frequencies."""
+    return delayed(reported(scene, hypothesis, unreported(scene, hypothesis)), hypothesis.base.timing, scene.period)
 
 
 def _narrowed(band: Band, hypothesis: Hypothesis) -> Band:
