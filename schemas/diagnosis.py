@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.robot import EffectEntry
+from schemas.words import words
 
 Verdict = Literal["within_noise", "explained", "partly_explained", "unexplained"]
 
@@ -400,3 +401,13 @@ def named_joints(joints: Sequence[int]) -> str:
     if len(joints) < 2:
         return "".join(f"joint {joint}" for joint in joints)
     return f"joints {', '.join(map(str, joints[:-1]))} and {joints[-1]}"
+
+
+def placed(name: str, joints: Sequence[int]) -> str:
+    """An effect in words, and where it acts. joints: numbers, from 1; none: the whole robot.
+
+    Example:
+        >>> placed("joint_offset", [3]), placed("tool_mass", [])
+        ('joint offset in joint 3', 'tool mass')
+    """
+    return words(name) + (f" in {named_joints(joints)}" if joints else "")

@@ -236,10 +236,12 @@ def _run(
 
 def _in_words(robot: Robot) -> str:
     """The effects of a description with their joints."""
-    from schemas.diagnosis import named_joints
+    from schemas.diagnosis import placed
 
-    told = [words(one.name) + (f" in {named_joints(one.joints)}" if one.joints else "") for one in robot.effect]
-    return ", ".join(told) or "no effect was named, so this is the rigid model again"
+    return (
+        ", ".join(placed(one.name, one.joints) for one in robot.effect)
+        or "no effect was named, so this is the rigid model again"
+    )
 
 
 def _left_out(robot: Robot) -> list[str]:

@@ -143,9 +143,9 @@ def _planned(
     """The motion of a file, or else a pick-and-place."""
     import numpy as np
 
-    from drivers.motion_file import read_motion
-
     if motion is not None:
+        from drivers.motion_file import read_motion
+
         return read_motion(motion, description, planner)
     return planner.pick_and_place(np.random.default_rng(seed), duration, masses=masses, speed=speed)
 

@@ -61,7 +61,8 @@ def command(
     folder = out or Path(f"{description.name}-watch")
     make_folder(folder)  # before anything runs: a watch that cannot store has nothing to do
     watch = Watch(description, Patience(learn, after))
-    watch.warm_up()
+    if not reference:  # what learns from one compiles there
+        watch.warm_up()
     for trace in reading(reference or [], description, None, "learning"):
         samples = trace.samples(TOPICS[description.topics.sample])
         carried = LOAD.empty(0) if isinstance(description, Axes) else process(description, samples).payload

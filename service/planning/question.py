@@ -14,10 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from drivers.motion import Trajectory
-from schemas.diagnosis import named_joints
+from schemas.diagnosis import placed
 from schemas.errors import DataError
 from schemas.robot import EffectEntry, Robot
-from schemas.words import words
 from service.estimator.bounds import bounds_of
 from service.identification.fit import within
 from service.model.description import base_of, torque_along
@@ -208,5 +207,4 @@ def _same(one: tuple[Term, ...], other: tuple[Term, ...]) -> bool:
 
 def _in_words(hypothesis: Hypothesis) -> str:
     term = hypothesis.terms[-1]
-    joints = named_joints([joint + 1 for joint in term.joints])
-    return words(term.effect.name) + (f" in {joints}" if joints else "")
+    return placed(term.effect.name, [joint + 1 for joint in term.joints])

@@ -114,9 +114,7 @@ def to_mjcf(robot: Robot) -> Export:
     return result
 
 
-def _add_drive(
-    spec: mujoco.MjSpec, i: int, turns: mujoco.MjsJoint, scale: float, terms: tuple[Term, ...]
-) -> None:  # fmt: skip
+def _add_drive(spec: mujoco.MjSpec, i: int, turns: mujoco.MjsJoint, scale: float, terms: tuple[Term, ...]) -> None:
     """The drive of motor i with what pulls at it: a spring of the joint, an offset of the torque, a lag."""
     amount = _amounts(terms)
     spring, preload = (float(amount("joint_spring", name)[i]) for name in ("k", "preload"))

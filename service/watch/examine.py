@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.trace import write_trace
 from schemas.axes_description import Description, load_description
-from schemas.diagnosis import NamedEffect, named_joints
+from schemas.diagnosis import NamedEffect, named_joints, placed
 from schemas.files import make_folder, write_text
 from schemas.finding import WatchFinding
 from schemas.trace import Trace
@@ -126,9 +126,8 @@ def _effect(effect: NamedEffect) -> str:
         f"{words(name)} {one.value:.3g} ± {(one.ci95[1] - one.ci95[0]) / 2:.2g} {one.unit}"
         for name, one in list(effect.parameters.items())[:WORDS]
     ]
-    where = f" in {named_joints(effect.joints)}" if effect.joints else ""
     doubt = f", or {' or '.join(map(words, effect.confusable_with))}" if effect.confusable_with else ""
-    return f"{words(effect.name)}{where} ({', '.join(figures)}{doubt})"
+    return f"{placed(effect.name, effect.joints)} ({', '.join(figures)}{doubt})"
 
 
 def _parts(trace: Trace, count: int, robot: Description) -> list[Trace]:

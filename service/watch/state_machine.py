@@ -285,7 +285,7 @@ class Watch:
         message, own = TOPICS[self._robot.topics.gap].empty(1), slice(self._robot.count)
         set_stamp(message, round(stop * NANOSECONDS) + self._kept.epoch)
         message["sequence"], self._sequence = self._sequence, self._sequence + 1
-        if "joints" in (message.dtype.names or ()):  # as many as the robot has, up to those of the message
+        if "joints" in (message.dtype.names or ()):
             message["joints"] = self._robot.count
         message["ratio"][:, own], message["share"] = ratio, np.nan
         for name in ("gap", "floor", "level", "trend"):

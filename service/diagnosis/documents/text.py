@@ -16,6 +16,7 @@ from schemas.diagnosis import (
     Simulated,
     Unseen,
     named_joints,
+    placed,
 )
 from schemas.words import percent, significant, words
 from service.diagnosis.documents.online_text import sentences_of
@@ -198,7 +199,7 @@ def answer(document: Diagnosis) -> Answer:
 
     causes = [
         Cause(
-            _placed(effect.name, effect.joints).capitalize(),
+            placed(effect.name, effect.joints).capitalize(),
             effect.title,
             f"Probability {percent(effect.probability)}, by bootstrap over blocks of the data.{_confusable(effect)}",
             how_much(effect),
@@ -374,12 +375,8 @@ def _nearest(document: Diagnosis) -> list[str]:
     near = sorted((one for one in document.ranking if one.shrink > 0), key=lambda one: -one.shrink)[:MOST_NEAR]
     if not near:
         return []
-    told = ", ".join(f"{_placed(one.name, one.joints)} ({percent(one.shrink)})" for one in near)
+    told = ", ".join(f"{placed(one.name, one.joints)} ({percent(one.shrink)})" for one in near)
     return [f"Nearest effects of the catalogue, with the shrink of the gap on held-out data: {told}."]
-
-
-def _placed(name: str, joints: list[int]) -> str:
-    return words(name) + (f" in {named_joints(joints)}" if joints else "")
 
 
 def _follows(document: Diagnosis) -> list[str]:
@@ -438,7 +435,7 @@ def _concentrated(regime: Regime) -> str:
 
 
 def _effect(effect: NamedEffect, document: Diagnosis, figures: bool) -> str:
-    line = f"Most likely cause: {_placed(effect.name, effect.joints)} (probability {percent(effect.probability)})"
+    line = f"Most likely cause: {placed(effect.name, effect.joints)} (probability {percent(effect.probability)})"
     line += f": {'; '.join(_figures(effect))}." if figures else "."
     line += f" It explains {share_of_gap(effect, document)} of the gap above the noise."
     return line + _confusable(effect)
