@@ -39,69 +39,8 @@ BY_RIGHTS = (
     "tests/service/pages", "tests/test_wheel.py",
 )  # fmt: skip
 
-# What takes most of the time, computing or waiting: `.ci/run` runs it, `uv run pytest` does without. Of all that moves
-# a robot (master, estimator, bounds, identification, diagnosis, commands) other tests are in the quick set.
-MASTER = "tests/drivers/ethercat/test_soem_master.py::test_"
-FAILS = f"{MASTER}what_fails_while_running_ends_the_run_with_its_name"
-JUMPS = f"{MASTER}a_target_that_jumps_or_cannot_be_is_not_sent"
-SLOW = (
-    "tests/deltatwin/test_notebook.py", "tests/deltatwin/test_other_machines.py",
-    "tests/drivers/ethercat/test_faults.py",
-    "tests/drivers/ethercat/test_faults_library.py",
-    "tests/drivers/ethercat/test_frames.py::test_mutated_frames_give",
-    f"{MASTER}motors_go_ahead_of_the_plan",
-    f"{MASTER}a_motion_from_a_file_is_what_the_robot_does", f"{MASTER}a_second_master_finds_the_drives",
-    f"{MASTER}drives_that_answer_late", f"{MASTER}missing_drives", f"{JUMPS}[2", f"{JUMPS}[3", f"{FAILS}[break 2",
-    f"{FAILS}[silence", f"{FAILS}[trip",
-    "tests/drivers/ethercat/test_passed_over.py",
-    "tests/drivers/ethercat/test_segment.py::test_the_tap_reads_the_gripper",
-    "tests/drivers/ethercat/test_live_tap.py::test_a_capture_played_as_live",
-    "tests/drivers/simulated/plant/test_cases.py", "tests/drivers/simulated/plant/test_effects.py",
-    "tests/drivers/test_motion.py::test_a_master_does_not_load_the_simulator",
-    "tests/drivers/test_ros.py::test_the_graph",
-    *(f"tests/drivers/test_security.py::test_{name}" for name in (
-        "a_role_writes_only_what_is_its_own", "intruder_neither_reads_nor_writes[expired",
-        "intruder_neither_reads_nor_writes[foreign", "intruder_neither_reads_nor_writes[of another",
-    )),
-    "tests/drivers/test_bus.py::test_stopped_subscriber_costs_the_others_nothing_and_comes_back[5",
-    "tests/drivers/trace/test_limits.py", "tests/replay/test_process.py::test_at_a_higher_rate",
-    "tests/schemas/test_kernel_cache.py", "tests/service/cli/test_demo.py", "tests/service/cli/test_disk.py",
-    "tests/service/cli/test_first_day.py::test_offline_commands_run_without_posix",
-    *(f"tests/service/codegen/test_{name}.py" for name in ("float32", "fmu", "hostile", "library", "misuse", "page")),
-    "tests/service/codegen/test_structured_text.py", "tests/service/codegen/test_twin.py",
-    "tests/service/codegen/test_types.py",
-    "tests/service/diagnosis/test_accepted.py", "tests/service/diagnosis/test_axes.py",
-    "tests/service/diagnosis/test_bad_input.py", "tests/service/diagnosis/test_sealed_cases.py",
-    "tests/service/diagnosis/test_earned.py", "tests/service/diagnosis/test_exchange.py",
-    "tests/service/diagnosis/test_first_screen.py", "tests/service/diagnosis/test_found_again.py",
-    "tests/service/diagnosis/test_base_first.py", "tests/service/diagnosis/test_pipeline.py",
-    *(f"tests/service/estimator/test_joints.py::test_{name}" for name in (
-        "hostile", "the_same_samples", "a_release_and_a_pick", "the_torque_of_an_arm", "motion_that_does_not_tell")),
-    "tests/service/diagnosis/test_online.py", "tests/service/machines/test_exported.py",
-    "tests/service/rollout/test_kernel.py", "tests/service/watch/test_state_machine.py",
-    "tests/service/rollout/test_rollout.py::test_the_right_model", "tests/service/cli/test_import.py::test_real_logs",
-    "tests/service/identification/test_joint_machines.py::test_evaluate_and_diagnose",
-    "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[servo-axis",
-    "tests/service/pages/test_drawn.py",
-    "tests/service/diagnosis/test_placement.py", "tests/service/diagnosis/test_real_machines.py",
-    "tests/service/diagnosis/test_reference.py", "tests/service/diagnosis/test_unseen.py",
-    "tests/service/diagnosis/test_rivals.py::test_the_rivals_are_whole_models",
-    "tests/service/estimator/test_jumps.py::test_no_draw", "tests/service/estimator/test_loss.py",
-    "tests/service/estimator/test_plants.py", "tests/service/experiment",
-    "tests/service/fleet/test_fleet.py", "tests/service/identification/test_chain.py",
-    "tests/service/diagnosis/test_located.py::test_a_magnet",
-    "tests/service/identification/test_log_load.py", "tests/service/machines/test_every_command.py",
-    "tests/service/machines/test_joint_motions.py::test_what_is_simulated",
-    "tests/service/identification/test_pooled.py::test_standard_errors_cover_the_truth",
-    "tests/service/monitor/test_monitor.py::test_full_disk",
-    "tests/service/pages/test_pages.py::test_a_page_is_printed_where_there_is_a_browser",
-    "tests/service/rollout/test_joints.py::test_an_identified_arm",
-    "tests/service/test_ethercat_demo.py::test_every_claim_holds",
-    "tests/service/test_ethercat_demo.py::test_a_cycle_that_differs", "tests/service/test_hostile.py",
-    "tests/service/test_stopping.py::test_a_role_ends_well_whenever",
-    "tests/service/test_supervisor.py::test_what_is_left", "tests/service/watch/test_watch_node.py",
-    "tests/test_second_plant.py", "tests/test_wheel.py",
-)  # fmt: skip
+# What the quick set does without: see there.
+SLOW = tuple(line for line in Path(__file__).with_name("slow.txt").read_text("utf-8").splitlines() if line[0] != "#")
 
 
 class _Held:

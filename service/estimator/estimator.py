@@ -23,7 +23,7 @@ from service.estimator import state
 from service.estimator.feedforward import plan_kernel
 from service.estimator.friction_health import findings_kernel
 from service.estimator.payload.payload_step import payload_kernel
-from service.estimator.step import answer_kernel, look_back_kernel, run_kernel
+from service.estimator.step import answer_kernel, compile_beside_payload, look_back_kernel, run_kernel
 
 # Samples from which the period is read. Stamps of a bus jitter; the median of this many does not.
 PERIOD_SAMPLES = 16
@@ -124,6 +124,7 @@ class Estimator:
         plan_kernel(fresh)
         answer_kernel(fresh)
         findings_kernel(fresh)
+        compile_beside_payload(fresh[0], fresh[0]["error"])
         wait()
         look_back_kernel(fresh)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 
 from schemas.kernels import kernel, part
@@ -376,6 +377,14 @@ def look_back_kernel(steps) -> int:
     step = steps[0]
     lagged_kernel(step.settings, step.state, step.payload, step.error)
     return int(step.payload.event)
+
+
+def compile_beside_payload(step: np.void, error_out: np.void) -> None:
+    """Compile what `look_back_kernel` calls beside the payload. step: a STEP record."""
+    settings, state, error = numba.typeof(step["settings"]), numba.typeof(step["state"]), numba.typeof(error_out)
+    _is_loose.inside.compile((settings, state))
+    _tell.inside.compile((settings, state, numba.boolean, numba.int64))
+    _errors.inside.compile((settings, state, numba.int64, error))
 
 
 @kernel
