@@ -116,6 +116,15 @@ def make_folder(path: Path) -> None:
     check_folder(path)
 
 
+def check_apart(path: Path, *inputs: Path) -> None:
+    """
+    Raises:
+        StorageError: what is to be written is one of the files that are read.
+    """
+    if path.resolve() in (one.resolve() for one in inputs):
+        raise StorageError(f"{path}: is an input file; give another name to write to")
+
+
 def check_folder(path: Path) -> None:
     """
     Raises:

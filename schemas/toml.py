@@ -26,9 +26,9 @@ _LONG_KEY = re.compile(rf"(?<![\w+:-])(?:[\w+:-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}
 
 
 class TomlTable(BaseModel):
-    """A table of a file that a user writes: no key that is not known, no figure that is none."""
+    """A table of a file that a user writes: no key that is not known, no figure that is none or a text."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:

@@ -38,8 +38,10 @@ def command(
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
     from schemas.axes_description import load_description
     from schemas.errors import StorageError
+    from schemas.files import check_apart
     from schemas.questions import Question, as_delta
 
+    check_apart(target, source, *(path for path in (robot, columns) if path))
     if target.exists() and not overwrite:
         raise StorageError(f"{target}: exists already; --overwrite replaces it")
     description = load_description(robot) if robot else None

@@ -79,13 +79,14 @@ def command(
     import sys
 
     from schemas.axes_description import load_description
-    from schemas.files import make_folder, write_text
+    from schemas.files import check_apart, make_folder, write_text
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
     from service.cli.machine_files import write_machine
 
     if float32 and to is not Format.c:
         raise typer.BadParameter(f"--float32: only for --to c, not for {to.value}")
+    check_apart(out, robot, *(log or []))
     described = load_description(robot, effects)
     if to in (Format.mjcf, Format.urdf) and not isinstance(described, Robot):
         write_machine(described, to.value, out)

@@ -57,7 +57,7 @@ def command(
     from dataclasses import asdict
 
     from schemas.axes_description import load_description, save_description
-    from schemas.files import make_folder
+    from schemas.files import check_apart, make_folder
     from service.identification import rigs
     from service.identification.conclusion import of_fit
     from service.identification.of_logs import identify_logs
@@ -66,6 +66,7 @@ def command(
     make_folder(out.parent)
     description = load_description(robot)
     loads = [_load(text) for text in carried or ()]
+    check_apart(out, robot, *traces, *(path for _, path in loads))
     heavy = reading([path for _, path in loads], description, columns, "reading")
     known = [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)]
     of_logs = rigs.of_logs([rigs.Rig.read(text) for text in rig or ()], [str(path) for path in traces])

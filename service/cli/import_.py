@@ -189,7 +189,7 @@ def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite:
     """
     from drivers.trace import CSV_ENDINGS
     from schemas.errors import StorageError
-    from schemas.files import check_folder, make_folder
+    from schemas.files import check_apart, check_folder, make_folder
 
     ending = ".mcap" if len(proposal.columns["position"]) == 3 else ".csv"
     several = len(files) > 1
@@ -205,8 +205,7 @@ def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite:
         make_folder(out)
     for path in (*logs, mapping):
         check_folder(path.parent)
-        if path.resolve() in (file.resolve() for file in files):
-            raise StorageError(f"{path}: is an input file; give another one with --out")
+        check_apart(path, *files)
         if path.exists() and not overwrite:
             raise StorageError(f"{path}: exists already; --overwrite replaces it, --out gives another name")
     if len({path.resolve() for path in logs}) < len(logs):

@@ -76,7 +76,7 @@ def command(
     """
     from drivers.motion import Planner, limits_of
     from schemas.axes_description import load_description
-    from schemas.files import check_folder
+    from schemas.files import check_apart, check_folder
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
     from service.cli.joint_motion import plan_joints
@@ -84,6 +84,7 @@ def command(
     from service.planning.question import PERIOD
 
     check_folder(out.parent)
+    check_apart(out, robot)
     described = load_description(robot, effects)
     most = (max_speed, max_acceleration, max_torque)
     if not isinstance(described, Robot) and purpose is Purpose.IDENTIFY:

@@ -97,7 +97,7 @@ def command(
     from drivers.simulated.plant.plant import make_plant
     from schemas.axes_description import load_description
     from schemas.errors import DataError
-    from schemas.files import check_folder
+    from schemas.files import check_apart, check_folder
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
 
@@ -110,6 +110,7 @@ def command(
     for path in (out, picks):
         if path is not None:
             check_folder(path.parent)
+            check_apart(path, robot, Path(motion))
     described = load_description(robot)
     if not isinstance(described, Robot) and not live and (motion in OF_JOINTS or Path(motion).suffix):
         assert out is not None

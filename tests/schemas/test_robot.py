@@ -83,6 +83,8 @@ ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1
         ("9.81", "true", r"gravity_mps2: .*list.*\(got True\)"),
         ("platform = 1.4", "platform = 0", r"mass\.platform: .*greater than 0.*\(got 0\)"),
         ("active_link = 2.6", "active_link = -2.6", r"mass\.active_link: .*greater than or equal to 0.*\(got -2\.6\)"),
+        ("gear_ratio = 5", 'gear_ratio = "5"', r"drive\.gear_ratio: .*valid number.*\(got '5'\)"),
+        ("gear_ratio = 5", "gear_ratio = true", r"drive\.gear_ratio: .*valid number.*\(got True\)"),
         ("gear_ratio = 5", "gear_ratio = 0", r"drive\.gear_ratio: .*greater than 0.*\(got 0\)"),
         ("0.86", "0.5", r"geometry: passive_link_length 0\.5 m does not reach the axis: it must exceed .* = 0\.55 m"),
         ("base_radius = 0.22", "base_radius = 22", r"geometry: passive_link_length 0\.86 m does not reach"),

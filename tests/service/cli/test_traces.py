@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace, write_trace
+from schemas.robot import SHIPPED
 from schemas.trace import Trace
 from service.cli.main import main
 from service.stopping import ENDING
@@ -177,3 +178,27 @@ def test_a_pipe_is_no_recording(deltatwin: Run, tmp_path: Path) -> None:
     assert done.returncode != 0
     assert done.stderr.strip().endswith("run.mcap: not a file")
     assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "identify log.csv --robot robot.toml --out {}",
+        "convert log.csv --robot robot.toml --overwrite {}",
+        "export robot.toml --to urdf --out {}",
+        "simulate --robot robot.toml --motion pick --duration 1 --out {}",
+        "plan-motion --robot robot.toml --for identify --assume-limits --duration 5 --out {}",
+    ],
+)
+@pytest.mark.parametrize("written", ["robot.toml", "sub/../robot.toml"])
+def test_no_result_takes_the_place_of_what_is_read(
+    deltatwin: Run, tmp_path: Path, log: Path, command: str, written: str
+) -> None:
+    assert log.name == "log.csv"
+    (tmp_path / "sub").mkdir()
+    before = (SHIPPED / "d3-1200.toml").read_text(encoding="utf-8")
+    (tmp_path / "robot.toml").write_text(before, encoding="utf-8")
+    done = deltatwin(*command.format(written).split())
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"deltatwin: {written}: is an input file; give another name to write to\n"
+    assert (tmp_path / "robot.toml").read_text(encoding="utf-8") == before
