@@ -41,6 +41,7 @@ MOST_RIPPLES = 4  # orders a joint that the band has to reach
 RIPPLE_REACH = 1.3  # times their frequency at the middle speed
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
 WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
+SMALL = "near zero; its error is small beside the torque"
 NEGLIGIBLE_SHARE = 0.05
 HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
 # A parameter whose effect the others reproduce but for this share of its variance is not told apart from them.
@@ -54,7 +55,8 @@ Described = TypeVar("Described", bound=Description)
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One parameter. verdict: "identifiable", "weak" or "not identifiable"; reason: why, where it is not the first."""
+    """One parameter. verdict: "identifiable", "weak" or "not identifiable"; reason: why, where it is not the
+    first, or is in spite of an error that is large beside the value."""
 
     name: str
     unit: str
@@ -472,4 +474,5 @@ def _estimate(
     if relative > WEAK:
         why = f"determined only to {100 * relative:.0f} %: log more motion that excites it"
         return ParameterEstimate(name, unit, value, error, "weak", why)
-    return ParameterEstimate(name, unit, value, error, "identifiable")
+    near_zero = error > WEAK * abs(value)  # held against more than the value, see `_scale`
+    return ParameterEstimate(name, unit, value, error, "identifiable", SMALL if near_zero else "")

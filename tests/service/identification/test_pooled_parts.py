@@ -230,13 +230,14 @@ def test_of_parameters_that_do_not_show_none_are_told_and_of_two_alike_one_is_he
         (False, "", 0.51, "not identifiable", "determined only to 51 %"),
         (False, "", 0.49, "weak", "determined only to 49 %: log more motion that excites it"),
         (False, "", 0.11, "weak", "determined only to 11 %: log more motion that excites it"),
-        (False, "", 0.09, "identifiable", ""),
+        (False, "", 0.09, "identifiable", "near zero; its error is small beside the torque"),
     ],
 )
 def test_a_verdict(held: bool, reason: str, relative: float, verdict: str, why: str) -> None:
     made = pooled._estimate(Quantity("f_c_2", "N m"), 2.5, 0.3, relative, held, reason)
     assert (made.name, made.unit, made.value, made.std_error) == ("f_c_2", "N m", 2.5, 0.0 if held else 0.3)
     assert (made.verdict, made.reason) == (verdict, why)
+    assert pooled._estimate(Quantity("f_c_2", "N m"), 2.5, 0.2, 0.08, False, "").reason == ""
 
 
 def test_an_error_is_held_against_the_nominal_value_or_a_twentieth_of_the_torque() -> None:
