@@ -219,7 +219,7 @@ class PayloadResult(Result):
     def conclusion(self) -> str:
         from service.identification.conclusion import of_payload
 
-        return of_payload(self.levels, self.common_error)
+        return of_payload(self.levels)
 
     def to_frame(self) -> pl.DataFrame:
         """One row per sample: time_s, mass_kg, std_dev_kg, trusted, event. `.levels` has the picks."""

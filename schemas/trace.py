@@ -11,6 +11,8 @@ import numpy as np
 from schemas.errors import TraceError, printable
 from schemas.messages import JOINT_SAMPLE, MOST_JOINTS, NANOSECONDS, SAMPLE, Message, SampleFlag, set_stamp
 
+UNNAMED = "robot"  # in the topic of a log whose robot nobody named
+
 
 @dataclass(frozen=True)
 class Finding:

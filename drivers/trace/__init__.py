@@ -30,7 +30,7 @@ from schemas.files import opened, whole
 from schemas.joints_description import Machine
 from schemas.messages import OF_DELTA, OF_JOINTS, TOPICS
 from schemas.questions import Question, as_delta
-from schemas.trace import Trace
+from schemas.trace import UNNAMED, Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
 CAPTURE_ENDINGS = (".pcap", ".pcapng", ".cap")
@@ -140,7 +140,7 @@ def find_columns(name: str | Path) -> Columns:
 
 
 def write_trace(
-    trace: Trace, path: str | Path, robot: str = "robot", show: Callable[[int], object] = lambda done: None
+    trace: Trace, path: str | Path, robot: str = UNNAMED, show: Callable[[int], object] = lambda done: None
 ) -> None:
     """Write a trace in the format its name ends in; a reader never sees half a file.
 

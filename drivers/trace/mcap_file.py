@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -27,7 +28,7 @@ from schemas.messages import (
     stamp_ns,
 )
 from schemas.ros2 import ros_type
-from schemas.trace import Trace
+from schemas.trace import UNNAMED, Finding, Trace
 from schemas.zenoh_keys import robot_key, topic_name
 
 _SAMPLE_TOPIC = re.compile(rf"^/?deltatwin/(?P<robot>[^/]+)/({'|'.join(SAMPLES)})$")  # the slash came later
@@ -46,7 +47,16 @@ def read_mcap(path: Path, robot: Description | None = None) -> Trace:
             samples = read_samples(stream, path, robot)
     except OSError as error:
         raise TraceError(f"{path}: {error.strerror}") from error
-    return check(to_trace(samples, path), RowNames("message", np.arange(1, len(samples) + 1)), robot)
+    trace = check(to_trace(samples, path), RowNames("message", np.arange(1, len(samples) + 1)), robot)
+    return replace(trace, findings=(*_of_another(path, robot), *trace.findings))
+
+
+def _of_another(path: Path, robot: Description | None) -> list[Finding]:
+    """A note where the one robot of a file has another name than the description."""
+    names = (robots_and_start(path) or ([], 0))[0]
+    if robot is None or names == [UNNAMED] or robot_key(robot.name) in map(robot_key, names):
+        return []
+    return [Finding.note(f"recorded from {name}, read as {robot.name}") for name in names]
 
 
 def robots_and_start(path: Path) -> tuple[list[str], int] | None:

@@ -40,6 +40,7 @@ def command(
     from schemas.errors import StorageError
     from schemas.files import check_apart
     from schemas.questions import Question, as_delta
+    from schemas.trace import UNNAMED
 
     check_apart(target, source, *(path for path in (robot, columns) if path))
     if target.exists() and not overwrite:
@@ -68,7 +69,7 @@ def command(
         write_trace(
             trace,
             target,
-            description.name if description else "robot",
+            description.name if description else UNNAMED,
             lambda done: progress.update(writing, completed=done),
         )
     for finding in trace.findings:

@@ -81,7 +81,7 @@ def command(
         if truth:
             scores += [score(found, pick) for pick in read_truth(truth[number])]
     common = common_error(description)
-    conclusion = of_payload([level for found in seen.values() for level in found], common)
+    conclusion = of_payload([level for found in seen.values() for level in found])
     if json:
         weighed = [
             {"trace": path, "levels": [asdict(level) | {"event": level.event.name.lower()} for level in found]}
@@ -116,11 +116,12 @@ def _write(found: PayloadHistory, path: Path) -> None:
 
 
 def _said(common: CommonError) -> str:
+    said = f"common error: at least {percent(common.share, 1)} of every mass, one standard deviation"
     if common.calibrated:
-        return f"common error: {percent(common.share, 1)} of every mass, one standard deviation, after a known load"
+        return f"{said}, after a known load"
     return (
-        f"common error: {percent(common.share, 1)} of every mass, one standard deviation: no known load has calibrated "
-        "the torque constants of this robot. To remove it: deltatwin identify ... --carried 3.0:loaded.csv"
+        f"{said}: no known load has calibrated the torque constants of this robot. To remove it: "
+        "deltatwin identify ... --carried 3.0:loaded.csv"
     )
 
 

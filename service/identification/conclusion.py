@@ -17,7 +17,7 @@ from schemas.words import percent
 from service.identification.evaluation import Evaluation, pooled_by_model
 from service.identification.fit import WITHIN_COLOURED
 from service.identification.pooled import Plain
-from service.identification.weighed_picks import CommonError, MassLevel
+from service.identification.weighed_picks import MassLevel
 from service.model.description import in_units_of
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 AS_IDENTIFIED = (
     2.0  # times what a model left of the logs that it was identified on, from which these logs are unlike them
 )
+GRAM = 1e-3  # kg, what nothing that is picked weighs less than
 
 
 def explains(ratio: np.ndarray) -> bool:
@@ -66,7 +67,7 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
     return said, explains(ratio)
 
 
-def of_payload(seen: Sequence[MassLevel], common: CommonError) -> str:
+def of_payload(seen: Sequence[MassLevel]) -> str:
     """The conclusion of a payload estimation over all logs."""
     picks = [one for one in seen if one.event == PayloadEvent.PICK]
     if not picks:
@@ -75,9 +76,11 @@ def of_payload(seen: Sequence[MassLevel], common: CommonError) -> str:
     span = f"{min(masses):.3f} kg" if len(picks) == 1 else f"{min(masses):.3f} to {max(masses):.3f} kg"
     random = np.median([one.random_std_dev for one in picks])
     trusted = np.average([one.trusted for one in picks], weights=[one.end - one.begin + 1e-9 for one in picks])
+    shares = [one.common_std_dev / max(one.mass, GRAM) for one in picks]
+    common = " to ".join(dict.fromkeys(percent(extreme(shares), 1) for extreme in (min, max)))
     count = "1 pick" if len(picks) == 1 else f"{len(picks)} picks"
     return (
-        f"{count} of {span}, each known to ± {random:.3f} kg, with a common error of {percent(common.share, 1)} "
+        f"{count} of {span}, each known to ± {random:.3f} kg, with a common error of {common} of the mass "
         f"(one standard deviation); trusted during {percent(trusted)} of their time."
     )
 

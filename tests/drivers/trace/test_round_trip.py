@@ -13,8 +13,8 @@ from drivers.trace import find_columns, read_trace, write_trace
 from schemas.columns import Columns
 from schemas.errors import TraceError
 from schemas.messages import SAMPLE, Gripper
-from schemas.robot import Geometry, Mass, Robot
-from schemas.trace import Trace
+from schemas.robot import Geometry, Mass, Robot, load_robot
+from schemas.trace import UNNAMED, Trace
 
 
 def make_trace(count: int = 500, commands: bool = True, epoch_ns: int = 0) -> Trace:
@@ -168,3 +168,16 @@ def test_stamps_since_1970_keep_their_nanoseconds_in_csv(tmp_path: Path, decimal
     assert np.array_equal(read.time_ns, trace.time_ns)
     assert read.time.tobytes() == trace.time.tobytes()
     assert not read.findings
+
+
+def test_the_log_of_another_robot_is_said_to_be_one(tmp_path: Path) -> None:
+    """By its name alone: it is read all the same, as a robot may have got another name."""
+    robot = load_robot("d3-1200")
+    write_trace(make_trace(), tmp_path / "other.mcap", "rl5 line 3")
+    assert [f.message for f in read_trace(tmp_path / "other.mcap", robot).findings] == [
+        "recorded from rl5_line_3, read as d3-1200"
+    ]
+    assert read_trace(tmp_path / "other.mcap").findings == ()
+    for name in (robot.name, UNNAMED):
+        write_trace(make_trace(), tmp_path / "own.mcap", name)
+        assert read_trace(tmp_path / "own.mcap", robot).findings == ()

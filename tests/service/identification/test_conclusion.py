@@ -19,7 +19,7 @@ from service.cli.main import app
 from service.identification.conclusion import of_evaluation, of_fit, of_payload
 from service.identification.evaluation import evaluate
 from service.identification.of_logs import identify_logs
-from service.identification.weighed_picks import CommonError, MassLevel
+from service.identification.weighed_picks import MassLevel
 
 Record = Callable[..., Trace]
 
@@ -75,17 +75,18 @@ def test_a_robot_that_was_never_identified_is_told_so(robot: Robot, logs: list[T
 
 
 def test_what_was_picked_in_a_sentence() -> None:
-    common = CommonError(0.035, False)
-    assert of_payload([], common).startswith("No pick was detected")
+    assert of_payload([]).startswith("No pick was detected")
     one = MassLevel(1.0, 2.0, 1.5, 0.05, 0.02, 0.05, 0.9, PayloadEvent.PICK)
     empty = replace(one, mass=0.0, event=PayloadEvent.RELEASE)
-    assert of_payload([one, empty], common) == (
-        "1 pick of 1.500 kg, each known to ± 0.020 kg, with a common error of 3.5 % (one standard deviation); "
-        "trusted during 90 % of their time."
+    assert of_payload([one, empty]) == (
+        "1 pick of 1.500 kg, each known to ± 0.020 kg, with a common error of 3.3 % of the mass (one standard "
+        "deviation); trusted during 90 % of their time."
     )
     longer = replace(one, begin=5.0, end=8.0, mass=0.25, trusted=0.5)
-    assert "2 picks of 0.250 to 1.500 kg" in of_payload([one, empty, longer], common)
-    assert "trusted during 60 %" in of_payload([one, longer], common), "by their time: 0.9 of 1 s, 0.5 of 3 s"
+    two = of_payload([one, empty, longer])
+    assert "2 picks of 0.250 to 1.500 kg" in two
+    assert "with a common error of 3.3 % to 20.0 % of the mass" in two, "as the rows of the table have it"
+    assert "trusted during 60 %" in of_payload([one, longer]), "by their time: 0.9 of 1 s, 0.5 of 3 s"
 
 
 def test_commands_end_with_it_and_with_what_comes_next(wrong: Robot, logs: list[Trace], tmp_path: Path) -> None:
