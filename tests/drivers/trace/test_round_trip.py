@@ -173,7 +173,7 @@ def test_stamps_since_1970_keep_their_nanoseconds_in_csv(tmp_path: Path, decimal
 def test_the_log_of_another_robot_is_said_to_be_one(tmp_path: Path) -> None:
     """By its name alone: it is read all the same, as a robot may have got another name."""
     robot = load_robot("d3-1200")
-    write_trace(make_trace(), tmp_path / "other.mcap", "rl5 line 3")
+    write_trace(make_trace(), tmp_path / "other.mcap", "rl5_line_3")
     assert [f.message for f in read_trace(tmp_path / "other.mcap", robot).findings] == [
         "recorded from rl5_line_3, read as d3-1200"
     ]
