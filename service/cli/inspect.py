@@ -73,15 +73,16 @@ def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | N
     from drivers.trace import CAPTURE_ENDINGS
     from schemas.words import counted
 
-    usable = sum("error" not in one for one in surveys)
+    usable = [path for path, one in zip(traces, surveys, strict=True) if "error" not in one]
+    content = [path for path in traces if path.is_file() and path.stat().st_size]
     clean = sum("error" not in one and not one["findings"] for one in surveys)
-    said = f"{usable} of {counted(len(surveys), 'file')} usable, {clean} without a finding."
-    if not usable and traces[0].name.endswith(CAPTURE_ENDINGS):
+    said = f"{len(usable)} of {counted(len(surveys), 'file')} usable, {clean} without a finding."
+    if not usable and (not content or content[0].name.endswith(CAPTURE_ENDINGS)):
         typer.echo(said)  # no command makes anything of it
     elif not usable:
-        conclude(said, "import", traces[0], *(("--robot", robot) if robot else ()))
+        conclude(said, "import", content[0], *(("--robot", robot) if robot else ()))
     elif robot:
-        conclude(said, "identify", *traces, "--robot", robot, *read_by(columns), "--out", "identified.toml")
+        conclude(said, "identify", *usable, "--robot", robot, *read_by(columns), "--out", "identified.toml")
     else:
         conclude(said, "init", "--help")
 

@@ -202,3 +202,13 @@ def test_no_result_takes_the_place_of_what_is_read(
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == f"deltatwin: {written}: is an input file; give another name to write to\n"
     assert (tmp_path / "robot.toml").read_text(encoding="utf-8") == before
+
+
+def test_inspect_ends_with_what_can_be_done_with_what_it_read(deltatwin: Run, tmp_path: Path, log: Path) -> None:
+    (tmp_path / "empty.csv").touch()
+    (tmp_path / "foreign.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    assert "next:" not in deltatwin("inspect", "missing.csv", "empty.csv").stdout
+    assert "next: deltatwin import foreign.csv\n" in deltatwin("inspect", "missing.csv", "foreign.csv").stdout
+    read = deltatwin("inspect", "foreign.csv", log.name, "--robot", "d3-1200")
+    assert read.returncode == 1
+    assert "next: deltatwin identify log.csv --robot d3-1200 --out identified.toml\n" in read.stdout
