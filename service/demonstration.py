@@ -167,7 +167,7 @@ def _same_as_own(name: str, heard: np.ndarray, own: np.ndarray, run: slice, robo
     before = np.searchsorted(stamps, missing)  # the sample behind the hole; the end of a log tells of none behind it
     untold = int((~told[before[before < len(told)]]).sum())
     return Check(
-        f"{name}: the plant's own trace, {INPUT_DELAY_CYCLES} cycle later",
+        f"{name}: the plant's own log, {INPUT_DELAY_CYCLES} cycle later",
         f"{known.sum()} cycles in operation; off by {position:.3f} counts, {torque:.3f} per mille "
         f"({others:.0f} counts one cycle earlier or later); {len(missing)} missing, {untold} of them unexplained",
         "0.501 counts and per mille; 0 unexplained",

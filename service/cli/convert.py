@@ -1,4 +1,4 @@
-"""`deltatwin convert`: a trace from one format to another."""
+"""`deltatwin convert`: a log from one format to another."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def command(
         Path,
         typer.Argument(
             metavar="IN",
-            help="Recorded trace (.csv, .csv.gz, .mcap) or EtherCAT capture (.pcap, .pcapng; with --robot).",
+            help="Recorded log (.csv, .csv.gz, .mcap) or EtherCAT capture (.pcap, .pcapng; with --robot).",
         ),
     ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending selects the format.")],
@@ -25,7 +25,7 @@ def command(
     columns: ColumnsFrom = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
 ) -> None:
-    """Write a trace as .csv, .csv.gz (joint side, SI, full precision) or .mcap (ROS 2 messages, opens in Foxglove).
+    """Write a log as .csv, .csv.gz (joint side, SI, full precision) or .mcap (ROS 2 messages, opens in Foxglove).
 
     Rows are kept as recorded; faults in them are reported here and flagged in the MCAP. OUT appears only when it is
     complete.

@@ -13,7 +13,7 @@ from service.cli.reading import reading
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="TRACE")],
+    traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="LOG")],
     robot: Annotated[Path, robot_file()],
     out: Annotated[Path, typer.Option(help="Folder for diagnosis.json, corrected.toml and report.html")],
     columns: ColumnsFrom = None,
@@ -28,11 +28,11 @@ def command(
     json: AsJson = False,
     test: Annotated[
         list[Path] | None,
-        typer.Option(metavar="TRACE", help="Log to test the correction on, used for nothing else; may be repeated"),
+        typer.Option(metavar="LOG", help="Log to test the correction on, used for nothing else; may be repeated"),
     ] = None,
     loaded: Annotated[
         list[Path] | None,
-        typer.Option(metavar="TRACE", help="Log with known loads, to test the estimator on; default: simulated loads"),
+        typer.Option(metavar="LOG", help="Log with known loads, to test the estimator on; default: simulated loads"),
     ] = None,
     loads: Annotated[
         list[Path] | None,

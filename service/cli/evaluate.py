@@ -1,4 +1,4 @@
-"""`deltatwin evaluate`: how far each model is off on traces."""
+"""`deltatwin evaluate`: how far each model is off on logs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ MOST_EVENTS = 4  # listed
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE")],
+    traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="LOG")],
     robot: Annotated[Path, robot_file(", plain, identified or corrected; also of axes")],
     effects: OwnEffects = None,
     columns: ColumnsFrom = None,
     json: AsJson = False,
     predictions: Annotated[
-        Path | None, typer.Option(help="Folder for the torque of the last model: one CSV per trace, with all rows")
+        Path | None, typer.Option(help="Folder for the torque of the last model: one CSV per log, with all rows")
     ] = None,
 ) -> None:
     """Show mean and standard deviation of measured minus predicted torque for each model.
@@ -50,7 +50,7 @@ def command(
     targets = [predictions / _csv_name(path) for path in traces] if predictions else []
     for number, target in enumerate(targets):
         if target in targets[:number]:
-            raise TraceError(f"{traces[number]}: a second trace that would be written to {target}")
+            raise TraceError(f"{traces[number]}: a second log that would be written to {target}")
     results: list[Evaluation] = []
     for number, trace in enumerate(reading(traces, description, columns, "evaluating")):
         result = evaluate(description, trace)
@@ -82,7 +82,7 @@ def command(
 
 
 def _csv_name(path: Path) -> str:
-    """`path`'s name; a trace of another format gets .csv for its ending."""
+    """`path`'s name; a log of another format gets .csv for its ending."""
     name = path.name
     for ending in (".gz", ".mcap", ".txt", ".tsv"):
         name = name.removesuffix(ending)
@@ -153,7 +153,7 @@ def _table(results: list[Evaluation], unit: str) -> Table:
     ]
     head = ("model", *(f"joint {joint + 1}: mean, std" for joint in range(len(rows[0]) - 1)))
     below = min(result.band_hz for result in results)
-    title = f"torque minus model, {unit}, below {below:.3g} Hz while moving, {counted(len(results), 'trace')}"
+    title = f"torque minus model, {unit}, below {below:.3g} Hz while moving, {counted(len(results), 'log')}"
     return table(head, rows, title)
 
 

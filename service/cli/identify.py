@@ -1,4 +1,4 @@
-"""`deltatwin identify`: fit the model to traces."""
+"""`deltatwin identify`: fit the model to logs."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ CHANGED = {True: "corrected", False: "left as described"}
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Logs to identify on: .csv, .csv.gz or .mcap", metavar="TRACE")],
+    traces: Annotated[list[Path], typer.Argument(help="Logs to identify on: .csv, .csv.gz or .mcap", metavar="LOG")],
     robot: Annotated[Path, robot_file()],
     out: Annotated[Path, typer.Option(help="Robot description to write, with its [identified] section")],
     method: Annotated[
         Literal["pooled", "paper"],
-        typer.Option(help="pooled: weighted least squares over all traces; paper: grid and mean over traces"),
+        typer.Option(help="pooled: weighted least squares over all logs; paper: grid and mean over logs"),
     ] = "pooled",
     carried: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="KG:TRACE",
+            metavar="KG:LOG",
             help="Known load carried throughout a log: 3.0:log.csv (kg). Calibrates torque constants and platform mass",
         ),
     ] = None,
     rig: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="TRACE:KEY=VALUE,...",
+            metavar="LOG:KEY=VALUE,...",
             help="Known body that a servo axis moves in this log: log.csv:mass=0.5,length=0.1 (kg, m). Keys: mass, "
             "length, inertia (kg m^2), angle (rad, where it hangs), axis",
         ),
@@ -109,7 +109,7 @@ def _load(text: str) -> tuple[float, Path]:
             raise ValueError
         return float(mass), Path(path)
     except ValueError:
-        raise typer.BadParameter(f"--carried {text}: give mass in kg and trace, such as 3.0:log.csv") from None
+        raise typer.BadParameter(f"--carried {text}: give mass in kg and log, such as 3.0:log.csv") from None
 
 
 def _calibrated(figures: Sequence[CalibratedFigure]) -> Table:
@@ -161,7 +161,7 @@ def _residuals(fit: Plain, names: Sequence[str], robot: Description) -> Table:
         (name, *(_each(rms[row], fit.torque[row] > 0) for rms in (fit.torque, fit.residual, fit.held_out)))
         for row, name in enumerate(names)
     ]
-    return table(("trajectory", "torque", "residual", "held out"), rows, title, caption)
+    return table(("log", "torque", "residual", "held out"), rows, title, caption)
 
 
 def _each(values: np.ndarray, moves: np.ndarray | None = None) -> str:

@@ -1,4 +1,4 @@
-"""`deltatwin inspect`: what a trace holds and what is wrong with it."""
+"""`deltatwin inspect`: what a log holds and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def command(
     traces: Annotated[
         list[Path],
         typer.Argument(
-            metavar="TRACE", help="Recorded traces (.csv, .csv.gz, .mcap) or EtherCAT captures (.pcap, .pcapng)."
+            metavar="LOG", help="Recorded logs (.csv, .csv.gz, .mcap) or EtherCAT captures (.pcap, .pcapng)."
         ),
     ],
     robot: Annotated[Path | None, robot_file(": joint range, gear ratio, its columns table.")] = None,
@@ -31,7 +31,7 @@ def command(
     For a capture: slaves, cycle time and its jitter, working-counter faults, lost cycles, state changes, mapping; with
     --robot also the objects of the drives, and whether they contradict their declared scaling.
 
-    Exit code 1 if a trace is unusable; the other traces are still shown.
+    Exit code 1 if a log is unusable; the other logs are still shown.
 
     Example: deltatwin inspect pick_a.csv pick_b.mcap --robot d3.toml
     """

@@ -1,4 +1,4 @@
-"""`deltatwin payload`: picks and releases in traces, with the mass of each; the load of an arm."""
+"""`deltatwin payload`: picks and releases in logs, with the mass of each; the load of an arm."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE")],
+    traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="LOG")],
     robot: Annotated[Path, robot_file(" that `identify` wrote")],
     effects: OwnEffects = None,
     columns: ColumnsFrom = None,
     json: AsJson = False,
     truth: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="True payloads: CSV with from_s,until_s,mass_kg, one per trace"),
+        typer.Option(metavar="FILE", help="True payloads: CSV with from_s,until_s,mass_kg, one per log"),
     ] = None,
     predictions: Annotated[
-        Path | None, typer.Option(help="Folder for <trace>.csv: mass, std_dev, trusted and event after every sample")
+        Path | None, typer.Option(help="Folder for <log>.csv: mass, std_dev, trusted and event after every sample")
     ] = None,
     frame: Annotated[
         str | None,
@@ -62,7 +62,7 @@ def command(
     from service.identification.weighed_picks import common_error, levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
-        raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one for each, in the same order")
+        raise DataError(f"--truth: {len(truth)} files for {len(traces)} logs; give one for each, in the same order")
     described = load_description(robot, effects)
     if not isinstance(described, Robot) and not truth and predictions is None:
         weigh(traces, robot, described, columns, frame, json)

@@ -1,4 +1,4 @@
-"""`deltatwin replay`: play a trace on the bus, on time."""
+"""`deltatwin replay`: play a log on the bus, on time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    trace: Annotated[Path, typer.Argument(metavar="TRACE", help="Recorded trace (.csv, .csv.gz, .mcap).")],
+    trace: Annotated[Path, typer.Argument(metavar="LOG", help="Recorded log (.csv, .csv.gz, .mcap).")],
     robot: Annotated[Path, robot_file("; its name is the robot on the bus.")],
     columns: ColumnsFrom = None,
     rate: Annotated[
@@ -24,14 +24,14 @@ def command(
     ] = None,
     speed: Annotated[float, typer.Option(min=1e-3, help="Speed-up factor.")] = 1.0,
     loop: Annotated[int, typer.Option(min=0, help="Number of times to play; 0: until Ctrl-C.")] = 1,
-    start: Annotated[float, typer.Option(min=0.0, help="Start, after the trace's first sample (s).")] = 0.0,
-    stop: Annotated[float | None, typer.Option(min=0.0, help="End, after the trace's first sample (s).")] = None,
+    start: Annotated[float, typer.Option(min=0.0, help="Start, after the log's first sample (s).")] = 0.0,
+    stop: Annotated[float | None, typer.Option(min=0.0, help="End, after the log's first sample (s).")] = None,
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for subscribers before the start (s).")] = 2.0,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
 ) -> None:
-    """Play a recorded trace over Zenoh at the controller's rate.
+    """Play a recorded log over Zenoh at the controller's rate.
 
     No sample is dropped or reordered; the lateness of the samples is reported at the end. Stamps are those of the
     trace and continue to rise over loops.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="TRACE")],
+    traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="LOG")],
     robot: Annotated[list[Path], robot_file(", identified or corrected; repeat to compare, best last")],
     horizon: Annotated[float, typer.Option(help="Length of a window, s")] = 0.2,
     commands: Annotated[

@@ -1,4 +1,4 @@
-"""`deltatwin simulate`: the simulated robot, into a trace or live on the bus."""
+"""`deltatwin simulate`: the simulated robot, into a log or live on the bus."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def command(
             "slow: a slow sweep; or a motion from a file, as `plan-motion` writes it.",
         ),
     ] = "pick",
-    out: Annotated[Path | None, typer.Option(help="Trace to write (.csv, .csv.gz, .mcap).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Log to write (.csv, .csv.gz, .mcap).")] = None,
     picks: Annotated[
         Path | None,
         typer.Option(help="CSV to write with the payloads and their times, for --truth of `payload`."),
     ] = None,
     duration: Annotated[float, typer.Option(min=0.5, help="Length of the motion (s).")] = 10.0,
     rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles per second (Hz).")] = 1000.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of motion and noise: the same seed gives the same trace.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of motion and noise: the same seed gives the same log.")] = 0,
     payload: Annotated[
         list[float] | None, typer.Option(min=0.0, help="Mass to carry in `pick` (kg); give several to mix them.")
     ] = None,
@@ -102,7 +102,7 @@ def command(
     from schemas.robot import Robot
 
     if out is None and not live:
-        raise typer.BadParameter("give the file for the trace (--out), or run --live", param_hint="--out")
+        raise typer.BadParameter("give the file for the log (--out), or run --live", param_hint="--out")
     if motion not in KINDS and not Path(motion).suffix:
         raise typer.BadParameter(f"{motion!r} is neither a file nor one of {', '.join(KINDS)}", param_hint="--motion")
     if payload and motion != "pick":

@@ -18,7 +18,7 @@ def command(
     reference: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="TRACE",
+            metavar="LOG",
             help="Production log from when the description was made, whose gap is the level; may be repeated. "
             "Default: the level is that of the first motion on the bus.",
         ),

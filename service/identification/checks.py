@@ -279,7 +279,7 @@ def _masses(
 
 def _sameness(logs: Sequence[NormalEquations]) -> list[str]:
     if len(logs) == 1:
-        return [f"{logs[0].name}: a single trajectory cannot be held out: nothing shows how well the fit generalises"]
+        return [f"{logs[0].name}: a single log cannot be held out: nothing shows how well the fit generalises"]
     left = information(np.stack([t.gram.sum(axis=0) for t in logs]))
     scale = np.sqrt(np.einsum("pp->p", left.sum(axis=0)))
     scale = np.where(scale > 0, scale, 1.0)

@@ -94,7 +94,7 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
         )
     warnings += _described_better(fit)
     if len(traces) == 1:
-        warnings.append(f"{name}: a single trajectory cannot be held out: nothing shows how well the fit generalises")
+        warnings.append(f"{name}: a single log cannot be held out: nothing shows how well the fit generalises")
     return warnings
 
 

@@ -56,4 +56,4 @@ def test_two_traces_for_one_prediction_are_refused(case: tuple[Path, Path], tmp_
     trace = str(folder / "test_a_pick.csv")
     result = run(app, ["evaluate", trace, trace, "--robot", str(robot), "--predictions", str(tmp_path)])
     assert isinstance(result.exception, TraceError)
-    assert "a second trace that would be written to" in str(result.exception)
+    assert "a second log that would be written to" in str(result.exception)
