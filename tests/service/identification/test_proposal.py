@@ -142,6 +142,12 @@ def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
     found = propose(written(log, torque=1000 / 40.0), geared, Stated(torque_unit=("permille", 40.0)))
     assert entries(found, "torque") == [{"unit": "permille", "rated": 40.0}] * 3
     assert not any("from the masses" in doubt for doubt in found.doubts)
+    assert any("25 times less: is the rated torque right?" in doubt for doubt in found.doubts), (
+        "as drives are of motors"
+    )
+    found = propose(written(log, torque=1000 / 40.0 / GEAR), geared, Stated(torque_unit=("permille", 40.0)))
+    assert entries(found, "torque") == [{"unit": "permille", "rated": 40.0, "side": "motor"}] * 3
+    assert not any("rated torque" in doubt for doubt in found.doubts)
     found = propose(written(log, torque=1 / 0.8 / GEAR), geared, Stated(torque_unit=("A", 0.8)))
     assert entries(found, "torque") == [{"unit": "A", "constant": 0.8, "side": "motor"}] * 3
 
