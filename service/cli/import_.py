@@ -300,10 +300,11 @@ def _show(table: Table, proposal: Proposal) -> None:
     rows = []
     for row in _channels(table, proposal):
         low, high = ("-" if row[key] is None else f"{row[key]:.5g}" for key in ("min", "max"))
-        rate = f"{row['rate_hz']:.6g} Hz"
-        rows.append((escape(row["channel"]), escape(row["unit"]), low, high, rate, row["taken_for"]))
-    head = ("channel", "stated unit", "min", "max", "rate", "used as")
-    console().print(printed(head, rows, figures=slice(2, 5)), highlight=False)
+        rate = f"{row['rate_hz']:.6g}"
+        rows.append((escape(row["channel"]), low, high, rate, row["taken_for"], escape(row["unit"])))
+    head = ("channel", "min", "max", "rate, Hz", "used as", "stated unit")
+    shown = len(head) if any(row[-1] for row in rows) else -1
+    console().print(printed(head[:shown], [row[:shown] for row in rows], figures=slice(1, 4)), highlight=False)
     for reason in proposal.reasons:
         say(f"  {escape(reason)}")
     for doubt in proposal.doubts:
@@ -316,7 +317,9 @@ def _toml(table: Table, proposal: Proposal) -> str:
     from schemas.robot import toml_item
 
     document = tomlkit.document()
-    document.add(tomlkit.comment(f"How to read {table.path.name} ({table.kind}). Every key: schemas/columns.py."))
+    document.add(
+        tomlkit.comment(f"How to read {table.path.name} ({table.kind}). Keys: the documentation's page Column mapping.")
+    )
     for line in (*proposal.reasons, *(f"check: {doubt}" for doubt in proposal.doubts)):
         document.add(tomlkit.comment(line))
     for key, value in proposal.columns.items():

@@ -593,8 +593,8 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
         (reasons if sure else doubts).append(line if sure else f"{line}; torques in another unit would fit, too")
     elif gear != 1.0 and torque["unit"] in SHARES:  # CiA 402, object 0x6077
         doubts.append(
-            f"torques in {torque['unit']} of {torque['rated']:g} N m fit at the joint, and a drive reports those of the "
-            f"motor, {gear:g} times less: is the rated torque right?"
+            f"torques in {torque['unit']} of {torque['rated']:g} N m fit at the joint, and a drive reports those of "
+            f"the motor, {gear:g} times less: is the rated torque right?"
         )
     if side is not None and not (told and fits):
         why = "; the fit confirms it" if fits else f"; from the masses one unit would be {fit.by_masses / side:.3g} N m"
