@@ -42,7 +42,7 @@ def command(
     from schemas.questions import Question, as_delta
     from schemas.trace import UNNAMED
 
-    check_apart(target, source, *(path for path in (robot, columns) if path))
+    check_apart(target, source, *(Path(one) for one in (robot, columns) if one))
     if target.exists() and not overwrite:
         raise StorageError(f"{target}: exists already; --overwrite replaces it")
     description = load_description(robot) if robot else None
