@@ -73,8 +73,14 @@ def _interrupt(*_: object) -> None:
 def _not_raised(unraisable: Any) -> None:
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _raise_again()
-    else:
+    elif not _half_built(unraisable):
         sys.__unraisablehook__(unraisable)
+
+
+def _half_built(unraisable: Any) -> bool:
+    """Whether it is of the end of an object that an interrupt left without what its end asks for."""
+    of_an_end = getattr(unraisable.object, "__name__", None) == "__del__"
+    return _Interrupt.raised_s > 0.0 and of_an_end and issubclass(unraisable.exc_type, AttributeError)
 
 
 def _not_handed_on(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

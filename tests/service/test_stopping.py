@@ -117,6 +117,23 @@ main()
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
+HALF_BUILT = """
+    class Target:
+        def __init__(self):
+            {}
+            self.open = True
+        def __del__(self):
+            del self.open
+    Target()"""
+
+
+def test_an_object_that_an_interrupt_left_half_built_says_nothing() -> None:
+    done = run(AS_MAIN.format(HALF_BUILT.format("os.kill(os.getpid(), signal.SIGHUP) or time.sleep(5)")))
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    done = run(AS_MAIN.format(HALF_BUILT.format("del self.open")))
+    assert "Exception ignored in" in done.stderr, "without an interrupt it is told"
+
+
 def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
     compiler = """
     import ctypes
