@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import overload
+from typing import ClassVar, overload
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from service.model.hypothesis import Hypothesis
 from service.model.parameters import FILTERED_LIMIT, LONGEST_DELAY, TIMING_LIMIT, Parameters
 from service.model.scene import Recording, Scene
 from service.model.signals import Band
-from service.model.torque import expected, tangent
+from service.model.torque import expected, tangent_in_parts
 
 # A recording a thread: filters, matrix products and compiled kernels let go of the interpreter.
 THREADS = ThreadPoolExecutor(os.cpu_count())
 ITERATIONS = 6
 WITHIN_COLOURED = 1.25  # times the noise floor that is read from the noise's colour above the band
+KEPT = 3  # sets of tangents: of a fit, of what it is compared with, and of what it is added to
 SETTLED = 1e-4  # relative fall of the squared residual that ends the fit
 
 
@@ -111,35 +113,57 @@ class Problem:
         result /= unit.reshape(-1, *([1] * (values.ndim - 1)))
         return result
 
-    def select(self, index: int, values: np.ndarray) -> np.ndarray:
-        """The same of (M, n, ...), joint after joint."""
-        result = np.empty((np.count_nonzero(self.rows[index]), *values.shape[2:]))
+    def select(self, index: int, *parts: np.ndarray) -> np.ndarray:
+        """The same of (M, n) or of (M, n, F) side by side, joint after joint."""
+        count, widths = np.count_nonzero(self.rows[index]), [part.shape[2:] for part in parts]
+        result = np.empty((count, *map(sum, zip(*widths, strict=True))))
         end = 0
         for joint in range(len(self.sigma)):
-            part = self.of_joint(index, joint, values[:, joint])
-            start, end = end, end + len(part)
-            result[start:end] = part
+            start, end, right = end, end + np.count_nonzero(self.rows[index][:, joint]), 0
+            for part in parts:
+                left, right = right, right + (part.shape[2] if part.ndim > 2 else 0)
+                place = (slice(start, end), slice(left, right)) if part.ndim > 2 else slice(start, end)
+                result[place] = self.of_joint(index, joint, part[:, joint])
         return result
 
 
-class Again(Sequence[np.ndarray]):
-    """Tangents that are evaluated whenever they are asked for, and not kept."""
+class Tangents(Sequence[np.ndarray]):
+    """Tangents (R, F) a recording of a hypothesis, the most of a fit. Only those of the `KEPT` fits are kept that were
+    asked for last; the others are evaluated again when they are asked for."""
 
-    def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
+    _recent: ClassVar[list[weakref.ref[Tangents]]] = []
+
+    def __init__(self, problem: Problem, hypothesis: Hypothesis, values: list[np.ndarray]) -> None:
         self._problem, self._hypothesis = problem, hypothesis
+        self._values: list[np.ndarray] | None = values
+        self._used()
+
+    def _used(self) -> None:
+        """Give up what was asked for longest ago."""
+        alive = [one for ref in Tangents._recent if (one := ref()) is not None and one is not self]
+        for one in alive[: 1 - KEPT]:
+            one._values = None
+        Tangents._recent = [weakref.ref(one) for one in (*alive[1 - KEPT :], self)]
+
+    def _now(self) -> list[np.ndarray]:
+        values = self._values
+        if values is None:
+            values = self._values = _linearised(self._problem, self._hypothesis)[1]
+        self._used()
+        return values
 
     def __len__(self) -> int:
         return len(self._problem.recordings)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        return iter(evaluate(self._problem, self._hypothesis).tangents)
+        return iter(self._now())
 
     @overload
     def __getitem__(self, index: int) -> np.ndarray: ...
     @overload
     def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
     def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
-        return evaluate(self._problem, self._hypothesis).tangents[index]
+        return self._now()[index]
 
 
 @dataclass(frozen=True)
@@ -156,14 +180,6 @@ class Fit:
     inside: np.ndarray
     free: np.ndarray
     reach: tuple[np.ndarray, np.ndarray]
-
-    def light(self, problem: Problem) -> Fit:
-        """The same without its tangents, the most of it: of many fits that are kept, few are asked for theirs."""
-        return replace(self, tangents=Again(problem, self.hypothesis))
-
-    def whole(self) -> Fit:
-        """The same with tangents that are kept."""
-        return replace(self, tangents=list(self.tangents))
 
     @property
     def moving(self) -> list[np.ndarray]:
@@ -205,21 +221,29 @@ class Fit:
 def evaluate(problem: Problem, hypothesis: Hypothesis, scenes: Sequence[Scene] | None = None) -> Fit:
     """Residuals and tangents at the hypothesis's own parameters; its base is the operating point. scenes: as it sees
     the recordings, where they are known already."""
-
-    def one(index: int, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-        prediction, slope = tangent(scene, hypothesis, problem.band)
-        return problem.select(index, problem.target[index] - prediction), problem.select(index, slope)
-
-    scenes = problem.scenes(hypothesis) if scenes is None else scenes
-    parts = list(THREADS.map(one, range(len(problem.recordings)), scenes))
-    residuals, tangents = [residual for residual, _ in parts], [slope for _, slope in parts]
+    residuals, tangents = _linearised(problem, hypothesis, scenes)
     parameters = Parameters(hypothesis)
     mechanism, period = problem.recordings[0].mechanism, problem.band.period
     low, high = parameters.limits(mechanism, period, problem.apart)
     values = parameters.values[parameters.free]
     inside = (values > low) & (values < high)
     reach = parameters.reach(mechanism, period, problem.apart)
-    return Fit(hypothesis, residuals, tangents, inside, inside & ~parameters.rough, reach)
+    kept = Tangents(problem, hypothesis, tangents)
+    return Fit(hypothesis, residuals, kept, inside, inside & ~parameters.rough, reach)
+
+
+def _linearised(
+    problem: Problem, hypothesis: Hypothesis, scenes: Sequence[Scene] | None = None
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Residuals (R,) and tangents (R, F) a recording."""
+
+    def one(index: int, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+        prediction, *slopes = tangent_in_parts(scene, hypothesis, problem.band)
+        return problem.select(index, problem.target[index] - prediction), problem.select(index, *slopes)
+
+    scenes = problem.scenes(hypothesis) if scenes is None else scenes
+    parts = list(THREADS.map(one, range(len(problem.recordings)), scenes))
+    return [residual for residual, _ in parts], [slope for _, slope in parts]
 
 
 def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:

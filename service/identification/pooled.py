@@ -224,22 +224,24 @@ def _turning(problem: Problem, fitted: solver.Fit) -> solver.Fit:
     """The fit with the transition of each friction that of several which suits its joints best."""
     base, rows = fitted.hypothesis.base, problem.recordings[0].mechanism.rows
     widths = [base.transition, *(np.full(len(rows), width * _lever(problem)) for width in WIDER_TRANSITIONS)]
-    trials = [solver.evaluate(problem, replace(fitted.hypothesis, base=replace(base, transition=w))) for w in widths]
-    left = []
-    for trial in trials:  # at a width of its own the model is linear
-        parameters = Parameters(trial.hypothesis)
-        turning = parameters.among_free(parameters.transition)
-        tangents = [np.delete(tangent, turning, axis=1) for tangent in trial.tangents]
-        low, high = (np.delete(reach, turning) for reach in trial.reach)
-        gram = np.asarray(sum(t.T @ t for t in tangents))
-        moment = np.asarray(sum(t.T @ r for t, r in zip(tangents, trial.residuals, strict=True)))
-        step = solver.within(gram, moment, low, high)
-        rest = [r - t @ step for r, t in zip(trial.residuals, tangents, strict=True)]
-        left.append(np.sum(problem.rms(rest) ** 2, axis=0))
+    left = [_left_at(problem, replace(fitted.hypothesis, base=replace(base, transition=width))) for width in widths]
     best = np.argmin(np.array(left) @ (rows.T != 0), axis=0)
     suits = np.array([np.asarray(widths[choice])[place] for place, choice in enumerate(best)])
     moved = solver.fit(problem, replace(fitted.hypothesis, base=replace(base, transition=suits)))
     return moved if moved.cost < fitted.cost else fitted
+
+
+def _left_at(problem: Problem, hypothesis: Hypothesis) -> np.ndarray:
+    """(n,) (N m)^2 that a fit leaves which holds the transitions of `hypothesis`: then the model is linear."""
+    trial, parameters = solver.evaluate(problem, hypothesis), Parameters(hypothesis)
+    turning = parameters.among_free(parameters.transition)
+    tangents = [np.delete(tangent, turning, axis=1) for tangent in trial.tangents]
+    low, high = (np.delete(reach, turning) for reach in trial.reach)
+    gram = np.asarray(sum(t.T @ t for t in tangents))
+    moment = np.asarray(sum(t.T @ r for t, r in zip(tangents, trial.residuals, strict=True)))
+    step = solver.within(gram, moment, low, high)
+    rest = [r - t @ step for r, t in zip(trial.residuals, tangents, strict=True)]
+    return np.sum(problem.rms(rest) ** 2, axis=0)
 
 
 def _lever(problem: Problem) -> float:

@@ -188,6 +188,9 @@ class Scene:
     @cached_property
     def weight(self) -> np.ndarray:
         """(N, n) N m: `load` without motion."""
+        if isinstance(self.mechanism, SerialArm):  # without its many columns
+            still = np.zeros_like(self.segment.theta)
+            return self.mechanism.torque(self.segment.theta, still, still, self.base.rigid)
         return self.recording.at_rest.torque(self.base.rigid)
 
     @cached_property

@@ -102,6 +102,12 @@ def _narrowed(band: Band, hypothesis: Hypothesis) -> Band:
 
 def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarray, np.ndarray]:
     """Prediction (M, n) and its derivative (M, n, F) by every free parameter of `Parameters`, in the band."""
+    prediction, *slopes = tangent_in_parts(scene, hypothesis, band)
+    return prediction, np.concatenate(slopes, axis=-1)
+
+
+def tangent_in_parts(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same with the derivatives in two parts, side by side: the first is kept with the recording, and large."""
     n = scene.joints
     moved = [_moved(term) for term in hypothesis.terms]
     own, changes = _own(scene, hypothesis.terms, moved)
@@ -141,8 +147,8 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     for index, values in raw.items():
         columns[..., index + 1] = values
     band = _narrowed(band, hypothesis)
-    lasting, columns = _of_motion(scene, hypothesis, band), band(columns)
-    return columns[..., 0], np.concatenate([lasting, columns[..., 1:]], axis=-1)
+    columns = band(columns)
+    return columns[..., 0], _of_motion(scene, hypothesis, band), columns[..., 1:]
 
 
 def _of_motion(scene: Scene, hypothesis: Hypothesis, band: Band) -> np.ndarray:

@@ -272,4 +272,4 @@ def _in_its_place(
         if candidate.effect is not effect and dictionary.nothing - loss > least:
             model = score(fit_added(problem, fewer.fitted, candidate.term()), regressors.split)
             if fault_of(problem, model.hypothesis, given) is None:
-                yield model.light(problem)
+                yield model

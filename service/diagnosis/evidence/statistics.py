@@ -136,12 +136,13 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
     nor in training, and the fold is predicted by the one chosen without it: where the walk ends, or the model chosen on
     all data if the other folds prefer that.
     """
-    result, known = [], {}
+    result: list[Scored] = []
+    known: dict[int, np.ndarray] = {}
 
     def inner_of(scored: Scored) -> np.ndarray:
         if id(scored) not in known:
-            known[id(scored)] = _ByFold.of(scored, split)
-        return known[id(scored)].inner(fold)
+            known[id(scored)] = _inner(scored, split)
+        return known[id(scored)][fold]
 
     for fold in range(split.folds):
         outside = [f != fold for f in split.fold]
@@ -167,35 +168,26 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
     return result
 
 
-@dataclass(frozen=True)
-class _ByFold:
-    """A fitted hypothesis with the normal equations of each fold. moving: (R, F) a recording."""
-
-    fitted: Fit
-    moving: list[np.ndarray]
-    equations: tuple[list[np.ndarray], list[np.ndarray]]
-    split: Split
-
-    @classmethod
-    def of(cls, scored: Scored, split: Split) -> _ByFold:
-        fitted, moving = scored.fitted, scored.fitted.moving
-        return cls(fitted, moving, normal_equations(moving, fitted.residuals, split), split)
-
-    def inner(self, out: int) -> np.ndarray:
-        """Block losses with `out` neither trained on nor counted, every other fold left out in turn."""
-        split, (grams, moments) = self.split, self.equations
-        residuals = [r.copy() for r in self.fitted.residuals]
+def _inner(scored: Scored, split: Split) -> np.ndarray:
+    """(folds, blocks) losses of a fitted hypothesis with a fold each neither trained on nor counted, every other one
+    left out in turn."""
+    fitted, moving = scored.fitted, scored.fitted.moving
+    grams, moments = normal_equations(moving, fitted.residuals, split)
+    result = []
+    for out in range(split.folds):
+        residuals = [r.copy() for r in fitted.residuals]
         for fold in range(split.folds):
             train = [k for k in range(split.folds) if k not in (fold, out)]
             if fold == out or not train:
                 continue
             gram, moment = (np.asarray(sum(one[k] for k in train)) for one in (grams, moments))
-            step = self.fitted.step(gram, moment)
-            for residual, slope, f in zip(residuals, self.moving, split.fold, strict=True):
+            step = fitted.step(gram, moment)
+            for residual, slope, f in zip(residuals, moving, split.fold, strict=True):
                 residual[f == fold] -= slope[f == fold] @ step
         for residual, f in zip(residuals, split.fold, strict=True):
             residual[f == out] = 0.0
-        return block_loss(residuals, split)
+        result.append(block_loss(residuals, split))
+    return np.array(result)
 
 
 def rms_per_joint(

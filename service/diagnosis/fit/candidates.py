@@ -42,7 +42,7 @@ class Candidate:
 
 class Piece(NamedTuple):
     """What a recording has of a joint in a fold. rows: among its (R,). columns: (r, C_j) of the candidates that reach
-    the joint, in units of the noise, as they weigh."""
+    the joint, in units of the noise, as they weigh; in single precision, products are in double."""
 
     fold: int
     joint: int
@@ -78,10 +78,10 @@ class Regressors:
         self.low, self.reach = np.array(low), [np.array(numbers, int) for numbers in reach]
         self.seen: list[Effect] | None = None
         self.pieces: list[Piece] = []
-        self.grams: list[np.ndarray] = []
+        self.grams: Sequence[np.ndarray] = []
 
     def along(self, hypothesis: Hypothesis) -> None:
-        """Fill pieces, and grams, (C, C) a fold, as `hypothesis` sees them."""
+        """Fill pieces, and grams (folds, C, C), as `hypothesis` sees them."""
         bent = [term.effect for term in hypothesis.terms if term.effect.measured and not term.effect.amplitudes]
         if bent == self.seen:
             return
@@ -91,22 +91,23 @@ class Regressors:
         self.pieces = list(chain.from_iterable(found))
         self.grams = self._grams()
 
-    def _grams(self) -> list[np.ndarray]:
-        def one(pieces: list[Piece]) -> np.ndarray:
-            gram = np.zeros((len(self.low), len(self.low)))
-            for piece in pieces:
-                reach = self.reach[piece.joint]
-                gram[np.ix_(reach, reach)] += piece.columns.T @ piece.columns
-            return gram
+    def _grams(self) -> np.ndarray:
+        result = np.zeros((self.split.folds, len(self.low), len(self.low)))
 
-        return list(THREADS.map(one, _by_fold(self.pieces, self.split.folds)))
+        def one(gram: np.ndarray, pieces: list[Piece]) -> None:
+            for piece in pieces:
+                reach, columns = self.reach[piece.joint], piece.columns.astype(float)
+                gram[np.ix_(reach, reach)] += columns.T @ columns
+
+        _done(THREADS.map(one, result, _by_fold(self.pieces, self.split.folds)))
+        return result
 
     def _pieces(self, number: int, scene: Scene, hypothesis: Hypothesis) -> list[Piece]:
         """Of a recording; an effect is filtered in one go. A list: a generator would do its work in whose thread reads
         it."""
         problem, joints = self.problem, range(scene.joints)
         counts = problem.rows[number].sum(axis=0)
-        every = [np.empty((count, len(self.reach[joint]))) for joint, count in enumerate(counts)]
+        every = [np.empty((count, len(self.reach[joint])), np.float32) for joint, count in enumerate(counts)]
         filled = [0 for _ in joints]
         for several, band in self._in_band(scene, hypothesis):
             for joint, values in zip(several, band, strict=True):
@@ -140,6 +141,12 @@ def _without_gap(rows: np.ndarray) -> np.ndarray | slice:
     """Rising indices, as a slice where none is left out: that takes no copy."""
     start, stop = int(rows[0]), int(rows[-1]) + 1
     return slice(start, stop) if stop - start == len(rows) else rows
+
+
+def _done(work: Iterable[None]) -> None:
+    """Wait for all of it, and raise what it raised."""
+    for _ in work:
+        pass
 
 
 def _by_fold(pieces: Sequence[Piece], folds: int) -> list[list[Piece]]:
@@ -179,30 +186,37 @@ class Dictionary:
         self.own = own[0].shape[1]
         near = [np.concatenate([m, r[:, None]], axis=1) for m, r in zip(own, fitted.residuals, strict=True)]
 
-        def one(pieces: list[Piece], columns: np.ndarray) -> np.ndarray:
+        size = self.own + len(self.low) + 1
+        grams = np.empty((regressors.split.folds, size, size))
+
+        def one(gram: np.ndarray, pieces: list[Piece], columns: np.ndarray) -> None:
             square, cross = np.zeros((self.own + 1, self.own + 1)), np.zeros((self.own + 1, len(self.low)))
             for piece in pieces:
                 mine = near[piece.recording][piece.rows]
                 square += mine.T @ mine
                 cross[:, regressors.reach[piece.joint]] += mine.T @ piece.columns
-            return _assembled(self.own, square, cross, columns)
+            _assemble(gram, self.own, square, cross, columns)
 
-        folds = _by_fold(regressors.pieces, regressors.split.folds)
-        self._reduce(np.stack(list(THREADS.map(one, folds, regressors.grams))), prior)
+        _done(THREADS.map(one, grams, _by_fold(regressors.pieces, regressors.split.folds), regressors.grams))
+        self._reduce(grams, prior)
 
     def _reduce(self, grams: np.ndarray, prior: np.ndarray | float) -> None:
-        """Project the hypothesis's own tangents out of everything, a fold left out at a time."""
+        """Project the hypothesis's own tangents out of everything, a fold left out at a time. What is left of `grams`
+        takes their place: many large matrices at once would be the most memory of all."""
         own, every = self.own, grams.sum(axis=0)
+        self.left_out = grams[:, own:, own:]
+        self.training = np.empty(self.left_out.shape)
 
-        def one(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def one(gram: np.ndarray, left_out: np.ndarray, training: np.ndarray) -> None:
             train = every - gram
             map_ = solve(train[:own, :own] + prior, train[:own, own:])
             cross = gram[own:, :own] @ map_
-            left_out = gram[own:, own:] - cross - cross.T + map_.T @ gram[:own, :own] @ map_
-            return train[own:, own:] - train[own:, :own] @ map_, left_out
+            left_out -= cross
+            left_out -= cross.T
+            left_out += map_.T @ gram[:own, :own] @ map_
+            np.subtract(train[own:, own:], train[own:, :own] @ map_, out=training)
 
-        parts = list(THREADS.map(one, grams))
-        self.training, self.left_out = np.stack([part for part, _ in parts]), np.stack([part for _, part in parts])
+        _done(THREADS.map(one, grams, self.left_out, self.training))
         known = np.diag(self.training.sum(axis=0))[:-1] <= 1e-9 * np.diag(every)[own:-1]
         self.training[:, :-1][:, known] = self.training[:, :, :-1][:, :, known] = 0.0  # to rounding a sum of its own
         self.nothing = float(self.left_out[:, -1, -1].sum())
@@ -297,16 +311,13 @@ def _among(grams: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return grams[..., chosen[:, :, None], chosen[:, None, :]]
 
 
-def _assembled(own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """One Gram matrix, in the order own tangents, candidates, residual. near: of the first and the last."""
-    size = own + len(columns) + 1
-    gram = np.empty((size, size))
-    ends = np.r_[0:own, size - 1]
+def _assemble(gram: np.ndarray, own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> None:
+    """Fill one Gram matrix, in the order own tangents, candidates, residual. near: of the first and the last."""
+    ends = np.r_[0:own, len(gram) - 1]
     gram[np.ix_(ends, ends)] = near
     gram[ends, own:-1] = cross
     gram[own:-1, ends] = cross.T
     gram[own:-1, own:-1] = columns
-    return gram
 
 
 def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tuple[float, Candidate]:

@@ -57,7 +57,6 @@ def exchanged(
         if not tried:
             continue
         tried.sort(key=lambda scored: scored.loss + 2 * size(scored))
-        tried[0] = tried[0].whole()
         kept = pruned(problem, regressors.split, tried[0], selection.none, problem.count, given)
         if len(set(kept.names[given:])) > MOST_EFFECTS or _left(problem, kept) > limit:
             continue
@@ -96,7 +95,7 @@ def _fitted(regressors: Regressors, parent: Scored, several: tuple[Candidate, ..
     for candidate in first:
         terms = (*fitted.hypothesis.terms, candidate.term())
         fitted = replace(fitted, hypothesis=fitted.hypothesis.carrying(terms))
-    return score(fit_added(regressors.problem, fitted, last.term()), regressors.split).light(regressors.problem)
+    return score(fit_added(regressors.problem, fitted, last.term()), regressors.split)
 
 
 def _left(problem: Problem, scored: Scored) -> float:

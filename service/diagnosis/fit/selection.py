@@ -48,14 +48,6 @@ class Scored:
         """What was fitted."""
         return self.fitted.hypothesis
 
-    def light(self, problem: Problem) -> Scored:
-        """As `Fit.light`."""
-        return replace(self, fitted=self.fitted.light(problem))
-
-    def whole(self) -> Scored:
-        """As `Fit.whole`."""
-        return replace(self, fitted=self.fitted.whole())
-
     @property
     def loss(self) -> float:
         """Squared residuals in all."""
@@ -207,7 +199,7 @@ def additions(
     for candidate in _promising(regressors, best, allows):
         progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
         added = score(fit_added(problem, best.fitted, candidate.term()), regressors.split)
-        exact.append(added.light(problem))
+        exact.append(added)
     if not exact:
         return [], None
 
@@ -217,8 +209,7 @@ def additions(
             ordered = one_cause_first(ordered, best, problem.count)
         return ordered
 
-    (first, *others), fault = _sound_first(problem, exact, best, none, given, order)
-    return [first.whole(), *others], fault
+    return _sound_first(problem, exact, best, none, given, order)
 
 
 def _promising(regressors: Regressors, best: Scored, allows: Callable[[Effect, int], bool]) -> list[Candidate]:

@@ -104,7 +104,7 @@ def test_inner_losses_leave_a_fold_out_of_everything():
     columns = [random.standard_normal((50, 4)) for _ in range(4)]
     target = [random.standard_normal(50) for _ in range(4)]
     split = split_of(4, 50, 5)
-    found = statistics._ByFold.of(scored(columns, target, split), split).inner(2)
+    found = statistics._inner(scored(columns, target, split), split)[2]
     truth = left_out(columns, target, (2,))
     truth[2] = np.zeros(50)
     np.testing.assert_allclose(found, selection.block_loss(truth, split), atol=1e-9)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from service.identification.fit import within
+from service.identification.fit import KEPT, within
 from tests.service.injected import INJECTED, reports
 from tests.service.subject import EFFECTS, Fit, Hypothesis, Parameters, evaluate, fit, predict, solve
 from tests.service.world import BASE, COULOMB, VISCOUS, course, problem
@@ -182,20 +183,19 @@ def test_a_filter_is_fitted_up_to_its_limit_and_no_further():
     assert nonlinear == pytest.approx(35.0, rel=1e-2)
 
 
-def test_a_light_fit_has_its_tangents_when_they_are_asked_for() -> None:
-    """And holds none of them; a whole one holds them again."""
+def test_of_many_fits_the_tangents_of_a_few_are_kept_and_all_have_theirs() -> None:
+    """Those asked for last; the others come again as they were."""
     run = course(1, 1.0)
     made = problem([run], [run.torque])
-    full = fit(made, Hypothesis(BASE))
-    light = full.light(made)
-    assert not isinstance(light.tangents, list)
-    assert len(light.tangents) == len(full.tangents)
-    for again in (light, light.whole()):
-        for one, other in zip(again.tangents, full.tangents, strict=True):
-            np.testing.assert_array_equal(one, other)
-        np.testing.assert_array_equal(again.tangents[0], full.tangents[0])
-    assert light.cost == full.cost
-    assert isinstance(light.whole().tangents, list)
+    hypotheses = [Hypothesis(replace(BASE, timing=timing)) for timing in (0.0, 1e-4, 2e-4, 3e-4, 4e-4)]
+    fits = [evaluate(made, hypothesis) for hypothesis in hypotheses]
+    first = [tangent.copy() for tangent in fits[0].tangents]
+    held = [weakref.ref(fitted.tangents[0]) for fitted in fits]
+    assert sum(ref() is not None for ref in held) == KEPT
+    for one, other in zip(first, fits[0].tangents, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert fits[0].tangents[0] is fits[0].tangents[0], "kept again"
+    assert len(fits[1].tangents) == len(made.recordings)
 
 
 @pytest.mark.parametrize("effect", ["torque_delay", "torque_filter", "torque_scale"])
