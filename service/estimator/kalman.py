@@ -13,6 +13,7 @@ three joints of a Delta; `joints.state` has the same of more.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -92,12 +93,13 @@ class MotionFilter(NamedTuple):
     acceleration_variance: float
 
 
+@lru_cache
 def design(period: float, resolution: float, least_lag: int = 1, jerk: float = EXPECTED_JERK) -> MotionFilter:
     """The filter for samples every `period` s of an encoder with `resolution` rad at the joint. least_lag: samples that
     the look back waits for at least. jerk: rad/s^3 rms that is expected.
 
     The resolution is taken as the standard deviation of a position sample: quantisation is 0.29 of it, the rest is the
-    encoder's own noise.
+    encoder's own noise. The same arrays for the same arguments: a description is asked about several times.
     """
     # here, for with `scipy.stats` they take longer to load than what uses this module without a filter takes to run
     from filterpy.common import van_loan_discretization

@@ -22,7 +22,7 @@ from service.model.torque import expected, tangent_in_parts
 THREADS = ThreadPoolExecutor(os.cpu_count())
 ITERATIONS = 6
 WITHIN_COLOURED = 1.25  # times the noise floor that is read from the noise's colour above the band
-KEPT = 3  # sets of tangents: of a fit, of what it is compared with, and of what it is added to
+KEPT = 64 << 20  # bytes of tangents: of a fit and of what it is added to, also of an arm's many columns and rows
 SETTLED = 1e-4  # relative fall of the squared residual that ends the fit
 
 
@@ -128,8 +128,8 @@ class Problem:
 
 
 class Tangents(Sequence[np.ndarray]):
-    """Tangents (R, F) a recording of a hypothesis, the most of a fit. Only those of the `KEPT` fits are kept that were
-    asked for last; the others are evaluated again when they are asked for."""
+    """Tangents (R, F) a recording of a hypothesis, the most of a fit. `KEPT` bytes of all are kept, those asked for
+    last and at least one fit's; the others are evaluated again when they are asked for."""
 
     _recent: ClassVar[list[weakref.ref[Tangents]]] = []
 
@@ -141,9 +141,13 @@ class Tangents(Sequence[np.ndarray]):
     def _used(self) -> None:
         """Give up what was asked for longest ago."""
         alive = [one for ref in Tangents._recent if (one := ref()) is not None and one is not self]
-        for one in alive[: 1 - KEPT]:
-            one._values = None
-        Tangents._recent = [weakref.ref(one) for one in (*alive[1 - KEPT :], self)]
+        while alive and sum(one._size for one in (*alive, self)) > KEPT:
+            alive.pop(0)._values = None
+        Tangents._recent = [weakref.ref(one) for one in (*alive, self)]
+
+    @property
+    def _size(self) -> int:
+        return sum(values.nbytes for values in self._values or ())
 
     def _now(self) -> list[np.ndarray]:
         values = self._values

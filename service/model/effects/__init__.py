@@ -55,12 +55,7 @@ def catalogue(extra: Path | None = None) -> tuple[Effect, ...]:
     Raises:
         RobotError: the file or an entry point cannot be run, the file holds no effect, or a name is taken.
     """
-    found = list(CATALOGUE)
-    for point in entry_points(group=ENTRY_POINTS):
-        try:
-            found.append(point.load()())
-        except Exception as error:
-            raise RobotError(f"effect {point.name} = {point.value}: {type(error).__name__}: {error}") from error
+    found = [*CATALOGUE, *_installed(tuple(sys.path))]
     if extra is not None:
         if not extra.is_file():
             raise RobotError(f"{extra}: no such file; a Python file with effects is needed")
@@ -69,6 +64,22 @@ def catalogue(extra: Path | None = None) -> tuple[Effect, ...]:
     for name in names:
         if names.count(name) > 1:
             raise RobotError(f"{extra or ENTRY_POINTS}: effect {name!r} is defined twice")
+    return tuple(found)
+
+
+@lru_cache
+def _installed(path: tuple[str, ...]) -> tuple[Effect, ...]:
+    """Those of packages on `path`, which is searched once: that takes 20 ms.
+
+    Raises:
+        RobotError: an entry point cannot be run.
+    """
+    found = []
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            found.append(point.load()())
+        except Exception as error:
+            raise RobotError(f"effect {point.name} = {point.value}: {type(error).__name__}: {error}") from error
     return tuple(found)
 
 

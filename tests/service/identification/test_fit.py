@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from service.identification.fit import KEPT, within
+from service.identification.fit import within
 from tests.service.injected import INJECTED, reports
 from tests.service.subject import EFFECTS, Fit, Hypothesis, Parameters, evaluate, fit, predict, solve
 from tests.service.world import BASE, COULOMB, VISCOUS, course, problem
@@ -183,15 +183,17 @@ def test_a_filter_is_fitted_up_to_its_limit_and_no_further():
     assert nonlinear == pytest.approx(35.0, rel=1e-2)
 
 
-def test_of_many_fits_the_tangents_of_a_few_are_kept_and_all_have_theirs() -> None:
+def test_of_many_fits_the_tangents_of_a_few_are_kept_and_all_have_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those asked for last; the others come again as they were."""
     run = course(1, 1.0)
     made = problem([run], [run.torque])
     hypotheses = [Hypothesis(replace(BASE, timing=timing)) for timing in (0.0, 1e-4, 2e-4, 3e-4, 4e-4)]
+    size = sum(tangent.nbytes for tangent in evaluate(made, hypotheses[0]).tangents)
+    monkeypatch.setattr("service.identification.fit.KEPT", 3 * size)
     fits = [evaluate(made, hypothesis) for hypothesis in hypotheses]
     first = [tangent.copy() for tangent in fits[0].tangents]
     held = [weakref.ref(fitted.tangents[0]) for fitted in fits]
-    assert sum(ref() is not None for ref in held) == KEPT
+    assert sum(ref() is not None for ref in held) == 3
     for one, other in zip(first, fits[0].tangents, strict=True):
         np.testing.assert_array_equal(one, other)
     assert fits[0].tangents[0] is fits[0].tangents[0], "kept again"
