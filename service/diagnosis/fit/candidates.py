@@ -78,14 +78,15 @@ class Regressors:
         self.low, self.reach = np.array(low), [np.array(numbers, int) for numbers in reach]
         self.seen: list[Effect] | None = None
         self.pieces: list[Piece] = []
-        self.grams: Sequence[np.ndarray] = []
+        self.grams = np.zeros((0, 0, 0))
 
     def along(self, hypothesis: Hypothesis) -> None:
         """Fill pieces, and grams (folds, C, C), as `hypothesis` sees them."""
         bent = [term.effect for term in hypothesis.terms if term.effect.measured and not term.effect.amplitudes]
         if bent == self.seen:
             return
-        self.seen, self.pieces, self.grams = bent, [], []  # what they take is free before more is asked for
+        # What they take is free before more is asked for.
+        self.seen, self.pieces, self.grams = bent, [], np.zeros((0, 0, 0))
         scenes = self.problem.scenes(hypothesis)
         found = THREADS.map(lambda n, scene: self._pieces(n, scene, hypothesis), range(len(scenes)), scenes)
         self.pieces = list(chain.from_iterable(found))
