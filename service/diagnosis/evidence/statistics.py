@@ -115,11 +115,6 @@ def reversal_noise(problem: Problem, coulomb: np.ndarray) -> np.ndarray:
     return np.sqrt(square / np.maximum(count, 1.0))
 
 
-def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
-    """Residuals on data left out of fitting *and* of selection."""
-    return by_fold(walked(selection, split, rows), split)
-
-
 def by_fold(chosen: Sequence[Scored], split: Split) -> list[np.ndarray]:
     """Residuals of each fold under the hypothesis chosen for it."""
     result = [residual.copy() for residual in chosen[0].residuals]

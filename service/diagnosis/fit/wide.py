@@ -33,11 +33,6 @@ class Wide:
         )
         return cls(wide, np.diag(np.r_[np.zeros(own), np.broadcast_to(prior, opened)]))
 
-    @classmethod
-    def bare(cls, fitted: Fit) -> Wide:
-        """No columns."""
-        return cls(fitted, np.zeros((fitted.moving[0].shape[1],) * 2))
-
     def held_out(self, split: Split) -> list[np.ndarray]:
         """Residuals (R,) a recording on held-out data."""
         return held_out(self.fit, split, prior=self.prior)

@@ -8,7 +8,7 @@ import pytest
 from service.diagnosis.fit.null import DRAWS, OWN, over_null
 from service.diagnosis.fit.wide import Wide
 from tests.service.injected import reports
-from tests.service.subject import EFFECTS, Hypothesis, Problem, Term, evaluate, fit
+from tests.service.subject import EFFECTS, Fit, Hypothesis, Problem, Term, evaluate, fit
 from tests.service.world import BASE, PERIOD, course, problem
 
 SECONDS, SEEDS, SIGMA = 3.0, (1, 2, 3), 0.2
@@ -39,9 +39,14 @@ def on(joint: int, torque: np.ndarray) -> np.ndarray:
     return torque[:, None] * (np.arange(3) == joint)
 
 
+def bare(fitted: Fit) -> Wide:
+    """Without a discrepancy."""
+    return Wide.of(fitted, [np.zeros((len(residual), 0)) for residual in fitted.residuals], 0.0)
+
+
 def over(made: Problem, term: Term) -> float:
     fewer, best = (fit(made, Hypothesis(BASE, terms)) for terms in ((), (term,)))
-    return over_null(made, Wide.bare(fewer), best, {term.effect})
+    return over_null(made, bare(fewer), best, {term.effect})
 
 
 def test_a_spring_is_more_its_own_than_what_waves_on_its_joint_make_of_it():
@@ -56,7 +61,7 @@ def test_a_constant_torque_has_no_null_and_one_that_is_nothing_explains_nothing(
     assert over(logs(add=lambda run, seed: on(0, np.full(len(run.torque), 3.0))), OFFSET) > OWN
     made = logs()
     still = evaluate(made, Hypothesis(BASE, (Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.0,)),)))
-    assert over_null(made, Wide.bare(fit(made, Hypothesis(BASE))), still, {EFFECTS["torque_delay"]}) == 0.0
+    assert over_null(made, bare(fit(made, Hypothesis(BASE))), still, {EFFECTS["torque_delay"]}) == 0.0
 
 
 @pytest.mark.parametrize("opened", [0, 2])

@@ -121,6 +121,11 @@ class Search:
     nested: float
 
 
+def nested_of(found: Selection, split: Split) -> list[np.ndarray]:
+    """Residuals on data held out of fitting and of selection."""
+    return statistics.by_fold(statistics.walked(found, split, rows(split)), split)
+
+
 def walk(seed: int, candidates: int, true: float) -> Search:
     """Noise, and `true` times the first candidate's column."""
     random = np.random.default_rng(seed)
@@ -135,7 +140,7 @@ def walk(seed: int, candidates: int, true: float) -> Search:
     ]
     best = min(tried, key=lambda item: item.loss)
     found = Selection(none, best, [(tried, best)], {})
-    nested = statistics.nested(found, split, rows(split))
+    nested = nested_of(found, split)
     assert [len(r) for r in nested] == [60] * 4
     return Search(best.loss / none.loss, float(sum(r @ r for r in nested)) / none.loss)
 
@@ -167,7 +172,7 @@ def test_a_fold_is_predicted_by_what_the_others_choose():
     first = scored([np.hstack(pair) for pair in zip(base, one, strict=True)], target, split, "one")
     second = scored([np.hstack(pair) for pair in zip(base, two, strict=True)], target, split, "two")
     found = Selection(none, second, [([first, second], second)], {})
-    nested = statistics.nested(found, split, rows(split))
+    nested = nested_of(found, split)
     np.testing.assert_array_equal(nested[3], first.residuals[3])
 
 
@@ -179,7 +184,7 @@ def test_what_was_not_taken_is_not_claimed():
     target = [random.standard_normal(60) + 3.0 * column[:, 0] for column in one]
     none = scored(base, target, split)
     lead = scored([np.hstack(pair) for pair in zip(base, one, strict=True)], target, split, "one")
-    nested = statistics.nested(Selection(none, none, [([lead], None)], {}), split, rows(split))
+    nested = nested_of(Selection(none, none, [([lead], None)], {}), split)
     for mine, plain in zip(nested, none.residuals, strict=True):
         np.testing.assert_array_equal(mine, plain)
 
