@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
-from schemas.diagnosis import Diagnosis, NamedEffect, OnlineTrial, named_joints
+from schemas.diagnosis import Diagnosis, NamedEffect, OnlineTrial, placed
 from schemas.words import percent, significant, words
 from service.diagnosis.documents.online_text import KEEP, standing
-from service.diagnosis.documents.text import ADVICE, NO_NAMES, answer, unasked
+from service.diagnosis.documents.text import ADVICE, NO_NAMES, answer, rms, unasked
 from service.pages import Headline
 
 AGREE = "Model and robot agree: the gap is within the noise of the torque signal."
@@ -23,13 +22,13 @@ TRY = (
 def headline(document: Diagnosis, folder: Path = Path()) -> Headline:
     """What the page and the command say first. folder: of the corrected description."""
     gap, said = document.gap, answer(document)
-    before, noise = _rms(gap.before_nm), _rms(gap.noise_floor_nm)
+    before, noise = rms(gap.before_nm), rms(gap.noise_floor_nm)
     if document.effects:
-        names = "; ".join(map(_placed, document.effects))
+        names = "; ".join(map(_named, document.effects))
         names = names[0].upper() + names[1:]
         rest = "explains the gap" if document.verdict == "explained" else "explains part of the gap"
         levels = (gap.work_before_nm, gap.work_after_nm) if gap.slow_runs else (gap.before_nm, gap.after_nm)
-        goes = f"{' → '.join(significant(_rms(level)) for level in levels)} {gap.unit} rms; noise {significant(noise)}"
+        goes = f"{' → '.join(significant(rms(level)) for level in levels)} {gap.unit} rms; noise {significant(noise)}"
         goes += "; without slow sweeps" if gap.slow_runs else ""
         shrinks = "smaller" if gap.shrink >= 0 else "larger"
         return Headline(
@@ -48,10 +47,9 @@ def headline(document: Diagnosis, folder: Path = Path()) -> Headline:
     return Headline("open", NONE, times, of, said.check[0])
 
 
-def _placed(effect: NamedEffect) -> str:
-    where = f" in {named_joints(effect.joints)}" if effect.joints else ""
+def _named(effect: NamedEffect) -> str:
     others = " or ".join(map(words, effect.confusable_with))
-    return words(effect.name) + where + (f" (or {others})" if others else "")
+    return placed(effect.name, effect.joints) + (f" (or {others})" if others else "")
 
 
 def _step(online: OnlineTrial | None, corrected: Path) -> str:
@@ -59,7 +57,3 @@ def _step(online: OnlineTrial | None, corrected: Path) -> str:
     if online and known and online.corrected and standing(known, online.corrected, online.changes) == "worse":
         return KEEP
     return TRY.format(corrected=corrected)
-
-
-def _rms(values: list[float]) -> float:
-    return math.sqrt(sum(value**2 for value in values) / len(values))

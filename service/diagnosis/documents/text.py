@@ -190,8 +190,8 @@ class Answer:
 
 def answer(document: Diagnosis) -> Answer:
     """What a plant engineer wants to know first."""
-    before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
-    torque = _rms(document.gap.torque_nm) if document.gap.torque_nm else 0.0
+    before, after = rms(document.gap.before_nm), rms(document.gap.after_nm)
+    torque = rms(document.gap.torque_nm) if document.gap.torque_nm else 0.0
 
     def level(value: float) -> str:
         share = f" ({significant(100 * value / torque, 2)} % of the torque's rms)" if torque else ""
@@ -302,7 +302,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     """
     verdict = _verdict(document)
     effects = [_effect(effect, document, figures) for effect in document.effects]
-    before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
+    before, after = rms(document.gap.before_nm), rms(document.gap.after_nm)
     if document.effects or after > WORSE * before:
         left_out = "runs" if len(document.traces) > 2 else "stretches"
         gap, apart = document.gap.model_dump(include=set(Shrunk.model_fields)), ""
@@ -311,7 +311,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
             apart = f", without slow sweeps ({', '.join(document.gap.slow_runs)})"
         shrunk = Shrunk.model_validate(gap)
         line = f"On held-out {left_out} ({HELD_OUT}){apart} the gap goes {_goes(shrunk, document.gap.unit)}"
-        grows = _rms(shrunk.after_nm) > _rms(shrunk.before_nm)
+        grows = rms(shrunk.after_nm) > rms(shrunk.before_nm)
         effects.append(line + (f": {_why_it_grows(document)}." if grows else "."))
     if not document.effects and document.verdict == "unexplained":
         effects += _nearest(document)
@@ -424,7 +424,8 @@ def _number(value: float, error: float) -> str:
     return significant(value, 4) + (f" ± {significant(Z95 * error, 2)}" if error else "")
 
 
-def _rms(values: list[float]) -> float:
+def rms(values: list[float]) -> float:
+    """Of the joints together."""
     return math.sqrt(sum(value**2 for value in values) / len(values))
 
 
@@ -488,7 +489,7 @@ def _forward(found: Simulated) -> str:
 def _goes(shrunk: Shrunk, unit: str) -> str:
     low, high = (f"{100 * value:.0f}" for value in shrunk.shrink_ci95)
     return (
-        f"from {significant(_rms(shrunk.before_nm))} to {significant(_rms(shrunk.after_nm))} {unit}, "
+        f"from {significant(rms(shrunk.before_nm))} to {significant(rms(shrunk.after_nm))} {unit}, "
         f"a shrink of {percent(shrunk.shrink)} [{low}, {high}]"
     )
 
