@@ -180,7 +180,7 @@ def _past_fault(
     if selection.fault is None:
         return selection
     again = search(regressors, progress, allows, more_orders, selection)
-    return again if _left(regressors.problem, again.best.residuals) <= limit else selection
+    return again if regressors.problem.over_noise(again.best.residuals) <= limit else selection
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _judged(
         fallen += fell
     chosen = statistics.walked(selection, split, problem.count, problem.most)
     after = statistics.by_fold(chosen, split)
-    selection, fell = together(problem, split, selection, after, given, unknown and _left(problem, after) > limit)
+    selection, fell = together(problem, split, selection, after, given, unknown and problem.over_noise(after) > limit)
     if fell:
         chosen = [selection.none] * split.folds
     return Judged(selection, chosen, [*doubts, *fallen, *fell])
@@ -234,15 +234,10 @@ def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]
 def _verdict(
     problem: Problem, selection: Selection, given: tuple[Term, ...], after: list[np.ndarray], limit: float
 ) -> Verdict:
-    left = _left(problem, after)
+    left = problem.over_noise(after)
     if len(selection.best.hypothesis.terms) == len(given):
         return "within_noise" if left <= limit else "unexplained"
     return "explained" if left <= limit else "partly_explained"
-
-
-def _left(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
-    """Rms, in units of the noise."""
-    return (float(sum(r @ r for r in residuals)) / problem.count) ** 0.5
 
 
 def _floor(problem: Problem, reversal: np.ndarray) -> float:

@@ -101,6 +101,10 @@ class Problem:
         where a disturbance on one must hide nothing of the others."""
         return np.maximum(self.rms(residuals, [0] * len(self.rows))[0] / self.sigma, 1.0)
 
+    def over_noise(self, residuals: Sequence[np.ndarray]) -> float:
+        """Rms of (R,) residuals a recording, in units of the noise."""
+        return (float(sum(r @ r for r in residuals)) / self.count) ** 0.5
+
     def pick(self, index: int, values: np.ndarray) -> np.ndarray:
         """Rows that count of (M, n, ...) of recording `index`, joint after joint."""
         return np.concatenate([values[rows, joint] for joint, rows in enumerate(self.rows[index].T)])

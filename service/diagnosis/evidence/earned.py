@@ -50,13 +50,12 @@ def earned(
     of each other: of two of which one is better and the other simpler, neither takes the place again.
     """
     problem, best, given = regressors.problem, selection.best, len(selection.none.hypothesis.terms)
-    left = (best.loss / problem.count) ** 0.5
     delta = problem.recordings[0].mechanism.kind == "delta"
     fallen: list[Caution] = []
     seen: rivals.Seen = lambda model: model  # noqa: E731
     counts: rivals.Counts = lambda model, instead: True  # noqa: E731
     found = None
-    if delta and left > limit:
+    if delta and problem.over_noise(best.residuals) > limit:
         found = accepted(regressors, selection, allows, progress)
         fallen += [
             _fell("not_its_own", effect, model, share=1.0 / max(over, 1.0)) for effect, model, over in found.rejected
@@ -71,7 +70,7 @@ def earned(
         best, refits, fell = _where_joints_are(regressors, selection, best, refits, kept_out)
         fallen += fell
     # where more than noise is left, it is not that by which a likelihood counts: blocks tell how it scatters
-    explained = (best.loss / problem.count) ** 0.5 <= limit
+    explained = problem.over_noise(best.residuals) <= limit
     standings = rivals.standings(regressors, selection, best, refits, allows, explained, seen, counts)
     told = [effect for effect, one in standings.items() if one.probability < LIKELY]
     for effect, one in standings.items():

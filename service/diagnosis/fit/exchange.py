@@ -25,7 +25,6 @@ from service.diagnosis.fit.selection import (
     worth,
 )
 from service.diagnosis.fit.sound import fault_of
-from service.identification.fit import Problem
 from service.model.effects.base import Effect
 
 
@@ -38,7 +37,7 @@ def exchanged(
     problem, given = regressors.problem, len(selection.none.hypothesis.terms)
     if not regressors.effects:
         return selection
-    best, explained = selection.best, _left(problem, selection.best) <= limit
+    best, explained = selection.best, problem.over_noise(selection.best.residuals) <= limit
     # squares; what promises to leave more is not fitted
     most = limit**2 * problem.count if explained else best.loss - PROMISE * (best.loss - problem.count)
     for parent in _fewer(regressors, selection, 2) if explained else _fewer(regressors, selection, 0, 1):
@@ -46,7 +45,7 @@ def exchanged(
         tried = [
             scored
             for scored in _tried(regressors, parent, 1 if explained else 2, most, allows)
-            if _left(problem, scored) <= limit
+            if problem.over_noise(scored.residuals) <= limit
             and fault_of(problem, scored.hypothesis, given) is None
             and (
                 scored.loss < best.loss + LEAST_GAIN * problem.count
@@ -58,7 +57,7 @@ def exchanged(
             continue
         tried.sort(key=lambda scored: scored.loss + 2 * size(scored))
         kept = pruned(problem, regressors.split, tried[0], selection.none, problem.count, given)
-        if len(set(kept.names[given:])) > MOST_EFFECTS or _left(problem, kept) > limit:
+        if len(set(kept.names[given:])) > MOST_EFFECTS or problem.over_noise(kept.residuals) > limit:
             continue
         path = [(others, taken) for others, taken in selection.path if taken is not None]
         trimmed = selection.trimmed | ({id(path[-1][1]): parent} if path else {}) | {id(tried[0]): kept}
@@ -96,8 +95,3 @@ def _fitted(regressors: Regressors, parent: Scored, several: tuple[Candidate, ..
         terms = (*fitted.hypothesis.terms, candidate.term())
         fitted = replace(fitted, hypothesis=fitted.hypothesis.carrying(terms))
     return score(fit_added(regressors.problem, fitted, last.term()), regressors.split)
-
-
-def _left(problem: Problem, scored: Scored) -> float:
-    """Rms, in units of the noise."""
-    return (scored.loss / problem.count) ** 0.5
