@@ -324,11 +324,6 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     return [group for group in groups if group]
 
 
-def sentences(document: Diagnosis) -> list[str]:
-    """The paragraphs' lines."""
-    return [line for group in paragraphs(document) for line in group]
-
-
 def caution(found: Caution) -> str:
     """What cannot be told, and what to record or to check."""
     joints, effect = named_joints(found.joints), words(found.effect or "")

@@ -15,8 +15,8 @@ from drivers.trace import read_trace
 from schemas.errors import DeltatwinError
 from schemas.robot import Mass, Robot, save_robot
 from service.cli.main import app
-from service.diagnosis.documents.text import sentences
 from tests.service.diagnosis.logs import ROBOT, Angles, one_way, record, swing
+from tests.service.diagnosis.said import sentences
 from tests.service.subject import EFFECTS, diagnose, document
 
 Write = Callable[..., str]

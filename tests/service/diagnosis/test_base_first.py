@@ -11,8 +11,8 @@ import pytest
 from schemas.axes_description import Axes, Axis
 from schemas.errors import DataError
 from schemas.trace import Trace
-from service.diagnosis.documents.text import sentences
 from service.identification.joint_machines import identify_axes
+from tests.service.diagnosis.said import sentences
 from tests.service.subject import CATALOGUE, EFFECTS, diagnose, document
 from tests.service.world import PERIOD, direction, sines
 

@@ -12,13 +12,13 @@ from schemas.axes_description import Axes, Axis
 from schemas.diagnosis import Caution, Diagnosis
 from schemas.trace import Trace
 from schemas.words import percent
-from service.diagnosis.documents.text import sentences
 from service.diagnosis.evidence import axis_friction
 from service.diagnosis.fit.selection import Standing
 from service.diagnosis.fit.wide import beside
 from service.identification import pooled
 from service.model.mechanism import mechanism_of
 from service.model.signals import segments_of
+from tests.service.diagnosis.said import sentences
 from tests.service.subject import (
     EFFECTS,
     Hypothesis,

@@ -14,7 +14,7 @@ from schemas.axes_description import Axes
 from schemas.diagnosis import Caution
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
-from service.diagnosis.documents import text
+from tests.service.diagnosis.said import sentences
 from tests.service.diagnosis.toy import split_of
 from tests.service.subject import (
     EFFECTS,
@@ -273,5 +273,5 @@ def test_the_text_on_held_out_runs_says_what_is_done(monkeypatch):
         step = np.linalg.lstsq(slopes[fold != run], left[fold != run], rcond=None)[0]
         predicted = left[fold == run] - slopes[fold == run] @ step
         np.testing.assert_allclose(np.concatenate(found.after)[fold == run], predicted, atol=0.05)
-    (line,) = (line for line in text.sentences(document.document(found)) if line.startswith("On held-out"))
+    (line,) = (line for line in sentences(document.document(found)) if line.startswith("On held-out"))
     assert "(predicted with parameters fitted to the others; effects were found and accepted on all data)" in line

@@ -14,8 +14,9 @@ from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
 from service.diagnosis.documents.over_time import _short, _thinned, worst_second
 from service.diagnosis.documents.report import write_report
-from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs, sentences
+from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs
 from service.model.effects import CATALOGUE
+from tests.service.diagnosis.said import sentences
 from tests.service.pages.browser import looked_at, picture_of
 from tests.service.subject import document
 

@@ -8,6 +8,7 @@ import pytest
 
 from schemas.diagnosis import Advice, Caution, CautionCode, Diagnosis, Estimate, Simulated
 from service.diagnosis.documents import text
+from tests.service.diagnosis.said import sentences
 
 ONE = {"name": "cogging", "title": "Cogging", "means": "The motor.", "joints": [2], "probability": 0.8,
        "gap_share": 0.64, "confusable_with": ["backlash", "torque_scale"], "settles": "a slow sweep",
@@ -57,7 +58,7 @@ def test_a_named_effect_is_told_in_one_line() -> None:
     )
     for after, said in ((3.1, False), (3.3, True)):  # of 3 N m: 3 % more, 9 % more
         worse = document(effects=[], gap=document().gap.model_dump() | {"after_nm": [after, 1.0]})
-        assert any("does not generalise" in line for line in text.sentences(worse)) is said
+        assert any("does not generalise" in line for line in sentences(worse)) is said
 
 
 def test_the_answer_says_how_much_and_what_to_do() -> None:
@@ -158,7 +159,7 @@ def test_what_came_nearest_is_told_where_nothing_is_named() -> None:
     ranked = [{"name": name, "joints": joints, "probability": 0.1, "after_nm": 1.0, "shrink": shrink}
               for name, joints, shrink in (("arm_mass", [1], 0.02), ("cogging", [], 0.05), ("tool_mass", [], -0.1),
                                            ("backlash", [3], 0.04), ("hose_spring", [], 0.01))]  # fmt: skip
-    found = text.sentences(document(effects=[], verdict="unexplained", ranking=ranked))
+    found = sentences(document(effects=[], verdict="unexplained", ranking=ranked))
     assert (
         "Nearest effects of the catalogue, with the shrink of the gap on held-out data: cogging (5 %), backlash in "
         "joint 3 (4 %), arm mass in joint 1 (2 %)."
@@ -166,7 +167,7 @@ def test_what_came_nearest_is_told_where_nothing_is_named() -> None:
     assert text.VERDICTS["unexplained"] in found
     caution = {"code": "runs_differ", "advice": "check_runs"}
     said = text.CAUTIONS["runs_differ"] + " " + text.ADVICE["check_runs"]
-    open_ = text.sentences(document(effects=[], verdict="unexplained", cannot_tell=[caution]))
+    open_ = sentences(document(effects=[], verdict="unexplained", cannot_tell=[caution]))
     assert text.VERDICTS["unexplained"] not in open_
     assert open_.count(said) == 1
 
@@ -191,7 +192,7 @@ def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> N
         "An unmodelled disturbance pulls at the platform everywhere. The named effects were found given any torque "
         "that depends on the platform's position: springs, offsets and weights cannot be separated from it. See below "
         "where and when the residual is largest."
-    ) in text.sentences(beside)
+    ) in sentences(beside)
     warm = text.caution(Caution(code="by_scale", joints=[2], advice="log_warm"))
     assert warm.startswith("Part of the residual of joint 2 is proportional to the torque itself")
     belt = text.caution(Caution(code="comes_again", pitch_m=0.0643, advice="look_there"))
@@ -202,8 +203,8 @@ def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> N
 
 def test_a_gap_hardly_above_the_noise_is_called_that() -> None:
     small = document(verdict="explained", gap=document().gap.model_dump() | {"shrink": 0.09})
-    assert text.sentences(small)[0] == text.VERDICTS["hardly"]
-    assert text.sentences(document(verdict="explained"))[0] == text.VERDICTS["explained"]
+    assert sentences(small)[0] == text.VERDICTS["hardly"]
+    assert sentences(document(verdict="explained"))[0] == text.VERDICTS["explained"]
 
 
 def test_logs_kept_out_the_baseline_and_the_simulator_are_told() -> None:
@@ -217,7 +218,7 @@ def test_logs_kept_out_the_baseline_and_the_simulator_are_told() -> None:
     test = {"trace": "t", "whole": shrunk, "bursts": bursts, "rhythm_s": None, "outside": shrunk, "outside_share": 0.8,
             "simulated": simulated.model_dump()}  # fmt: skip
     moved = {"rho_1": {"before": 1.0, "before_error": 0.0, "after": 1.25, "after_error": 0.05, "unit": ""}}
-    lines = text.sentences(document(tests=[test], moved=moved, given=["tool_mass"]))
+    lines = sentences(document(tests=[test], moved=moved, given=["tool_mass"]))
     gap = "from 2 to 1 N m, a shrink of 50 % [40, 60]."
     assert (
         f"On the test log t, used for nothing else, the gap goes {gap} Outside the events (80 % of the motion) it goes "
