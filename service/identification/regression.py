@@ -12,6 +12,7 @@ import numpy as np
 
 from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
+from service.identification.folds import BLOCK
 from service.identification.held import held_s
 from service.identification.loops import position_errors
 from service.identification.torque_source import is_commanded
@@ -33,8 +34,6 @@ ONE_COLUMN = 10
 PARAMETERS = 9
 RHO_1, RHO_2, FOREARM_MASS = range(3)
 VISCOUS, COULOMB = slice(3, 6), slice(6, 9)
-
-BLOCK = 0.5  # s, many times the correlation time of the low-passed noise (12 ms) and about one stroke of a pick
 
 
 @dataclass(frozen=True)
