@@ -21,7 +21,6 @@ from service.identification import fit as solver
 from service.identification.fit import Fit, Problem
 from service.identification.folds import Split, block_loss, gains, held_out, predicts
 from service.model.hypothesis import Hypothesis
-from service.model.mechanism import SerialArm
 from service.model.parameters import TRANSITION, WIDE_TRANSITION, Parameters
 from service.model.signals import LEAST_HZ, LEVER, NARROWER
 
@@ -122,20 +121,12 @@ def by_what_is_left(problem: Problem, hypothesis: Hypothesis) -> Problem:
     return replace(problem, weights=[np.broadcast_to(share, target.shape) for target in problem.target])
 
 
-def links_of(problem: Problem) -> np.ndarray:
-    """(k,) bool: rigid coefficients that a description has values for."""
-    mechanism = problem.recordings[0].mechanism
-    if isinstance(mechanism, SerialArm):
-        return mechanism.links
-    return np.zeros(len(mechanism.coefficients), bool)
-
-
 def drawn(problem: Problem, fitted: Fit) -> float:
     """How far masses are best drawn to those described."""
-    links, parameters = links_of(problem), Parameters(fitted.hypothesis)
+    mechanism, parameters = problem.recordings[0].mechanism, Parameters(fitted.hypothesis)
+    links, split = mechanism.links, Split.of(problem)
     if not links.any():
         return 0.0
-    mechanism, split = problem.recordings[0].mechanism, Split.of(problem)
     change = np.zeros(fitted.tangents[0].shape[1])
     change[: len(links)] = np.where(links, mechanism.start - parameters.values[: len(links)], 0.0)
     described = replace(

@@ -18,7 +18,7 @@ from service.identification.held import held_s, told_of_held
 from service.identification.loops import loops_of, position_errors, told
 from service.identification.pooled import Identification, Plain, refuse_dead_torque
 from service.identification.rigs import Rig, on_rig
-from service.model.mechanism import Mechanism, SerialArm, mechanism_of
+from service.model.mechanism import Mechanism, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
 from service.model.signals import segments_of, thin
@@ -114,7 +114,7 @@ def _described_better(fit: Plain) -> list[str]:
     """Whether an arm's stretches left out are better told by the masses of its URDF than by those that were found."""
     problem = fit.problem
     mechanism, split = problem.recordings[0].mechanism, Split.of(problem)
-    if not isinstance(mechanism, SerialArm) or not mechanism.links.any():
+    if not mechanism.links.any():
         return []
     links = np.flatnonzero(mechanism.links)
     described = fit.fitted.holding(links, mechanism.start[links])

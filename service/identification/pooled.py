@@ -375,8 +375,8 @@ def _drawn(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations (G, P, P) and (G, P) with what draws the masses of an arm to those described (P,), in each group
     its share of all."""
-    links = np.zeros(len(described), bool)
-    links[: len(problem.recordings[0].mechanism.coefficients)] = bare_model.links_of(problem)
+    links = problem.recordings[0].mechanism.links
+    links = np.pad(links, (0, len(described) - len(links)))
     pull = drawn * np.where(links, np.einsum("gpp->gp", left), 0.0)
     return left + pull[:, :, None] * np.eye(len(described)), right + pull * described
 

@@ -45,7 +45,8 @@ class Mechanism(Protocol):
 
     frictions: what rubs, F of them, the joints' own first. rows: (F, n), share of each joint's speed in the speed of
     each. optional: coefficients that stand or fall together, and fall where the data do not want them. start: (k,)
-    coefficients as described, zero where they are not; they stand where the data do not tell.
+    coefficients as described, zero where they are not; they stand where the data do not tell. links: (k,) bool, those
+    that are of links whose masses are described.
     """
 
     @property
@@ -64,6 +65,8 @@ class Mechanism(Protocol):
     def optional(self) -> Sequence[tuple[str, ...]]: ...
     @property
     def start(self) -> np.ndarray: ...
+    @property
+    def links(self) -> np.ndarray: ...
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid: ...
 
@@ -94,6 +97,7 @@ class Delta:
     rows = np.eye(3)
     optional = ()
     start = np.zeros(3)  # a Delta's description is asked for by name, see `pooled.fit`
+    links = np.zeros(3, bool)
     coefficients = {  # noqa: RUF012 - a constant of the class
         "rho_1": Coefficient(""),
         "rho_2": Coefficient(""),
@@ -221,6 +225,11 @@ class DecoupledAxes(_Servos):
     def start(self) -> np.ndarray:
         """Nothing is described."""
         return np.zeros(len(self.coefficients))
+
+    @property
+    def links(self) -> np.ndarray:
+        """None."""
+        return np.zeros(len(self.coefficients), bool)
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""
