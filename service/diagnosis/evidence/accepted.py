@@ -27,8 +27,7 @@ from service.diagnosis.fit.selection import (
     without,
 )
 from service.diagnosis.fit.sound import fault_of
-from service.diagnosis.fit.wide import Wide
-from service.identification.fit import Fit, Problem
+from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss
 from service.model.effects.base import Effect
 
@@ -106,12 +105,12 @@ def accepted(
 def own(pool: Pool, fewer: Scored, best: Scored, effect: Effect, opened: Opened) -> float:
     """What `effect` explains in `best` given discrepancies, over what its torque does at other times. fewer: the model
     without it."""
-    return over_null(pool.problem, Wide.of(fewer.fitted, opened.columns, opened.prior), best.fitted, {effect})
+    return over_null(pool.problem, opened.wide(fewer.fitted), best.fitted, {effect})
 
 
 def _seen(problem: Problem, scored: Scored, opened: Opened, split: Split) -> Scored:
     """A model with its residuals on held-out data given discrepancies, joints weighted by what is left of the best."""
-    left, level = Wide.of(scored.fitted, opened.columns, opened.prior).held_out(split), problem.level(opened.residuals)
+    left, level = opened.wide(scored.fitted).held_out(split), problem.level(opened.residuals)
     residuals = [r / level[j] for r, j in zip(left, problem.joints_of_rows, strict=True)]
     return Scored(scored.fitted, residuals, block_loss(residuals, split))
 
@@ -122,7 +121,8 @@ def _added(
 ) -> list[Scored]:  # fmt: skip
     """Models with one effect more that is accepted, the best first."""
     problem, split = regressors.problem, regressors.split
-    dictionary = Dictionary(regressors, *_wide(best, opened))
+    wide = opened.wide(best.fitted)
+    dictionary = Dictionary(regressors, wide.fit, wide.prior)
     before, found = _seen(problem, best, opened, split), []
     ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
     for loss, candidate in ranking[:SHORTLIST]:
@@ -145,8 +145,3 @@ def _furthest(ratios: list[float]) -> int | None:
     if max(finite, default=0.0) > OWN:
         return int(np.argmax(finite))
     return 0 if ratios[:1] == [np.inf] else None
-
-
-def _wide(scored: Scored, opened: Opened) -> tuple[Fit, np.ndarray]:
-    wide = Wide.of(scored.fitted, opened.columns, opened.prior)
-    return wide.fit, wide.prior

@@ -21,7 +21,7 @@ from service.diagnosis.evidence.earned import STANDS, earned
 from service.diagnosis.evidence.rivals import SURE
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import LEAST_Z, Scored, Selection, Standing, worth, z_score
-from service.diagnosis.fit.wide import beside
+from service.diagnosis.fit.wide import Wide
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect, on_joint
@@ -94,7 +94,7 @@ def stays(problem: Problem, fewer: Scored, best: Scored, effect: Effect) -> floa
         return 0.0
     columns = by_angle(problem, best.hypothesis, joints)
     plain = [block_loss(held_out(one.fitted, split), split) for one in (fewer, best)]
-    opened = [block_loss(beside(one.fitted, columns, split), split) for one in (fewer, best)]
+    opened = [block_loss(Wide.of(one.fitted, columns, 0.0).held_out(split), split) for one in (fewer, best)]
     taken, still = (float((without - all_).sum()) for without, all_ in (plain, opened))
     return still / taken if taken > 0 and z_score(*opened) > LEAST_Z else 0.0
 

@@ -18,8 +18,9 @@ from schemas.diagnosis import Caution
 from service.diagnosis.discrepancies import DISCREPANCIES
 from service.diagnosis.discrepancies.discrepancy import Discrepancy, Process, Seen
 from service.diagnosis.fit.selection import LEAST_Z, Scored, z_score
+from service.diagnosis.fit.wide import Wide
 from service.identification.correlated import WHITE, Correlated
-from service.identification.fit import Problem, solve
+from service.identification.fit import Fit, Problem, solve
 from service.identification.folds import Split, block_loss
 from service.model.description import digits
 from service.model.hypothesis import Hypothesis
@@ -143,6 +144,10 @@ class Opened:
     def noise(self) -> Correlated:
         """With its covariance."""
         return Correlated(self.columns, self.prior) if self.found else WHITE
+
+    def wide(self, fitted: Fit) -> Wide:
+        """A fit with these free too."""
+        return Wide.of(fitted, self.columns, self.prior)
 
     def cautions(self) -> list[Caution]:
         """What was opened, where effects are hardly separable from it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.diagnosis.fit.selection import Scored
-from service.diagnosis.fit.wide import beside
+from service.diagnosis.fit.wide import Wide
 from service.identification.fit import Problem
 from service.identification.folds import Split
 from service.model.mechanism import SerialArm
@@ -29,5 +29,5 @@ class Placement:
     def beside(self, model: Scored, joint: int | None = None) -> float:
         """Squared residual of `model` on data left out, the place of `joint` or of all joints left open."""
         asked = slice(None) if joint is None else slice(6 * joint, 6 * joint + 6)
-        left = beside(model.fitted, [each[:, asked] for each in self.columns], self.split, prior=1.0)
+        left = Wide.of(model.fitted, [each[:, asked] for each in self.columns], 1.0).held_out(self.split)
         return sum(float(residual @ residual) for residual in left)

@@ -36,10 +36,3 @@ class Wide:
     def held_out(self, split: Split) -> list[np.ndarray]:
         """Residuals (R,) a recording on held-out data."""
         return held_out(self.fit, split, prior=self.prior)
-
-
-def beside(
-    fitted: Fit, columns: Sequence[np.ndarray], split: Split, prior: np.ndarray | float = 0.0
-) -> list[np.ndarray]:
-    """Residuals (R,) a recording on held-out data, torque of `columns` (R, K) left open."""
-    return Wide.of(fitted, columns, prior).held_out(split)

@@ -14,7 +14,7 @@ from schemas.trace import Trace
 from schemas.words import percent
 from service.diagnosis.evidence import axis_friction
 from service.diagnosis.fit.selection import Standing
-from service.diagnosis.fit.wide import beside
+from service.diagnosis.fit.wide import Wide
 from service.identification import pooled
 from service.model.mechanism import mechanism_of
 from service.model.signals import segments_of
@@ -174,7 +174,7 @@ def two(seed: int, odd: float) -> Trace:
 def test_what_is_left_open_is_all_that_goes_by_the_angle(odd, least, most):
     made, none, _ = fitted([two(seed, odd) for seed in SEEDS], 2)
     columns = axis_friction.by_angle(made, none.hypothesis, [1])
-    left = beside(none.fitted, columns, Split.of(made, mixed=True))
+    left = Wide.of(none.fitted, columns, 0.0).held_out(Split.of(made, mixed=True))
     before, after = (made.rms(each, [0] * len(each))[0] for each in (none.residuals, left))
     assert least * before[1] <= after[1] < most * before[1]
     assert after[0] == pytest.approx(before[0], rel=0.1), "nothing is left open on the other joint"
