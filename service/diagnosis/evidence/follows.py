@@ -4,7 +4,8 @@ own angle, the position error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from service.identification.fit import Problem, solve
 from service.identification.folds import Split
 from service.identification.loops import position_error
 from service.model.coulomb_viscous import mean_direction
+from service.model.scene import Recording
 
 What = Literal["motion", "sine_of_angle", "position_error"]
 
@@ -47,44 +49,36 @@ def _groups(
     problem: Problem, joint: int, traces: Sequence[Trace], angular: bool
 ) -> list[tuple[What, int | None, list[np.ndarray]]]:
     """(what, joint it is of, columns (R, C) a recording) of everything that is asked."""
-    groups: list[tuple[What, int | None, list[np.ndarray]]] = []
-    for other in range(len(problem.sigma)):
-        if other != joint:
-            groups.append(("motion", other + 1, [_motion(problem, n, joint, other) for n in _numbers(problem)]))
+
+    def rows(columns_of: Callable[[Recording], np.ndarray]) -> list[np.ndarray]:
+        """(R, C + 1) a recording of (N, C), in the band, with a constant."""
+        every = zip(problem.recordings, problem.rows, strict=True)
+        chosen = [problem.band(columns_of(recording))[moving[:, joint]] for recording, moving in every]
+        return [np.concatenate([one, np.ones((len(one), 1))], axis=1) for one in chosen]
+
+    groups: list[tuple[What, int | None, list[np.ndarray]]] = [
+        ("motion", other + 1, rows(partial(_motion, joint=other)))
+        for other in range(len(problem.sigma))
+        if other != joint
+    ]
     if angular:
-        groups.append(("sine_of_angle", None, [_sine(problem, n, joint) for n in _numbers(problem)]))
+        groups.append(("sine_of_angle", None, rows(partial(_sine, joint=joint))))
     if all(trace.position_command is not None for trace in traces):
-        errors = [_error(problem, n, joint, traces) for n in _numbers(problem)]
+        errors = rows(lambda recording: position_error(recording, traces[recording.trace])[:, [joint]])
         if any(np.ptp(error[:, 0]) > 0 for error in errors if len(error)):
             groups.append(("position_error", None, errors))
     return groups
 
 
-def _numbers(problem: Problem) -> range:
-    return range(len(problem.recordings))
+def _motion(recording: Recording, joint: int) -> np.ndarray:
+    segment = recording.segment
+    direction = mean_direction(segment.theta_dot[:, [joint]], 0.01)[:, 0]
+    return np.stack([segment.theta_ddot[:, joint], segment.theta_dot[:, joint], direction], axis=1)
 
 
-def _rows(problem: Problem, number: int, joint: int, columns: np.ndarray) -> np.ndarray:
-    """(R, C + 1) of (N, C), in the band, with a constant."""
-    chosen = problem.band(columns)[problem.rows[number][:, joint]]
-    return np.concatenate([chosen, np.ones((len(chosen), 1))], axis=1)
-
-
-def _motion(problem: Problem, number: int, joint: int, other: int) -> np.ndarray:
-    segment = problem.recordings[number].segment
-    direction = mean_direction(segment.theta_dot[:, [other]], 0.01)[:, 0]
-    columns = [segment.theta_ddot[:, other], segment.theta_dot[:, other], direction]
-    return _rows(problem, number, joint, np.stack(columns, axis=1))
-
-
-def _sine(problem: Problem, number: int, joint: int) -> np.ndarray:
-    theta = problem.recordings[number].segment.theta[:, joint]
-    return _rows(problem, number, joint, np.stack([np.sin(theta), np.cos(theta)], axis=1))
-
-
-def _error(problem: Problem, number: int, joint: int, traces: Sequence[Trace]) -> np.ndarray:
-    recording = problem.recordings[number]
-    return _rows(problem, number, joint, position_error(recording, traces[recording.trace])[:, [joint]])
+def _sine(recording: Recording, joint: int) -> np.ndarray:
+    theta = recording.segment.theta[:, joint]
+    return np.stack([np.sin(theta), np.cos(theta)], axis=1)
 
 
 def _share(
