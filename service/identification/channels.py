@@ -365,9 +365,8 @@ def _role(name: str, table: Table) -> str | None:
     torque = words & (WORDS["torque"] | WORDS["current"]) or said_unit(table, name, TORQUE_UNITS)
     position = words & WORDS["position"] or said_unit(table, name, POSITION_UNITS)
     if bool(torque) == bool(position):
-        strong = "torque" if words & (WORDS["torque"] - {"m", "load"}) else "position" if position else None
-        kind = strong if torque and position else "position_only" if command and words & {"qg", "goal"} else None
-        kind = "position" if kind == "position_only" else kind
+        strong = "torque" if words & (WORDS["torque"] - {"m", "load"}) else "position"
+        kind = strong if torque and position else "position" if command and words & {"qg", "goal"} else None
     else:
         kind = "torque" if torque else "position"
     return None if kind is None else f"{kind}_command" if command else kind

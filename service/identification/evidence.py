@@ -139,11 +139,7 @@ class MachineSums:
 
     def left(self, signs: Sequence[int]) -> Left:
         """What is left on each fold by figures of the others where the torques have these signs."""
-        turned = self.gram.copy()
-        sign = np.asarray(signs, float)
-        turned[:, :, -1, :-1] *= sign[:, None]
-        turned[:, :, :-1, -1] *= sign[:, None]
-        weight = self._weight
+        turned, weight = self._turned(signs), self._weight
         remains = np.zeros(len(weight))
         for fold, mine in enumerate(turned):
             figures = np.append(self._figures(np.delete(turned, fold, axis=0).sum(axis=0), weight), -1.0)
@@ -154,11 +150,15 @@ class MachineSums:
         """N m that one unit of the torque is by the described masses; None where there are none."""
         if self.masses is None:
             return None
-        total = self.gram.sum(axis=0).copy()
-        total[:, -1, :-1] *= np.asarray(signs, float)[:, None]
-        total[:, :-1, -1] *= np.asarray(signs, float)[:, None]
-        share = self._figures(total, self._weight)[self.masses]
+        share = self._figures(self._turned(signs).sum(axis=0), self._weight)[self.masses]
         return None if share in (self.low[self.masses], self.high[self.masses]) else 1.0 / float(share)
+
+    def _turned(self, signs: Sequence[int]) -> np.ndarray:
+        """The products where the torques have these signs."""
+        turned, sign = self.gram.copy(), np.asarray(signs, float)[:, None]
+        turned[:, :, -1, :-1] *= sign
+        turned[:, :, :-1, -1] *= sign
+        return turned
 
     @property
     def _weight(self) -> np.ndarray:
