@@ -26,9 +26,9 @@ _LONG_KEY = re.compile(rf"(?<![\w+:-])(?:[\w+:-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}
 
 
 class TomlTable(BaseModel):
-    """A table of a file that a user writes: no key that is not known, no figure that is none or a text."""
+    """A table of a file that a user writes: no key that is not known, no figure that is none."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:
@@ -72,13 +72,13 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 def validate(model: type[_Model], values: dict[str, Any], path: Path, error: type[DeltatwinError]) -> _Model:
-    """`values` as a `model`.
+    """`values` of a file as a `model`; a text or a truth value is no number.
 
     Raises:
         error: naming file, key and value of the first thing that is wrong.
     """
     try:
-        return model.model_validate(values)
+        return model.model_validate(values, strict=True)
     except ValidationError as cause:
         raise error(f"{path}: {explain(cause)}") from cause
 

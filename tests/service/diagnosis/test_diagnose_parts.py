@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from schemas.axes_description import Axes
 from schemas.diagnosis import Caution
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
+from service.identification.fit import Problem
 from tests.service.diagnosis.said import sentences
 from tests.service.diagnosis.toy import split_of
 from tests.service.subject import (
@@ -120,7 +122,14 @@ def test_a_verdict_says_whether_something_was_found_and_whether_more_than_noise_
     """A spring was known before."""
     found: Any = stub(best=stub(hypothesis=stub(terms=(SPRING, OFFSET)[:terms])))
     after = [left * np.ones(30), left * np.ones(70)]
-    assert diagnose._verdict(stub(count=100), found, (SPRING,), after, 1.1) == verdict
+    assert diagnose._verdict(problem(), found, (SPRING,), after, 1.1) == verdict
+
+
+def problem() -> Any:
+    """Of a hundred rows."""
+    made = stub(count=100, most=1.0)
+    made.over_noise = partial(Problem.over_noise, made)
+    return made
 
 
 def carrying(*terms: Term) -> Any:
@@ -183,7 +192,7 @@ class Judging:
         monkeypatch.setattr(statistics, "by_fold", lambda chosen, split: [left * np.ones(100)])
 
     def __call__(self, *doubts: Caution, unknown: bool = False) -> Any:
-        made: Any = stub(problem=stub(count=100, most=1.0), split=self.split)
+        made: Any = stub(problem=problem(), split=self.split)
         return diagnose._judged(made, self.found, list(doubts), 1, ["kept"], unknown, 1.2, all, print)  # pyright: ignore[reportArgumentType]
 
 
@@ -236,7 +245,7 @@ def test_what_cannot_be_gives_way_to_what_can_where_that_explains_all(monkeypatc
     ended, again = stub(fault=fault), stub(best=stub(residuals=[np.full(100, left)]))
     asked: list[Any] = []
     monkeypatch.setattr(diagnose, "search", lambda *arguments: asked.append(arguments[-1]) or again)
-    found = diagnose._past_fault(stub(problem=stub(count=100)), ended, 1.1, lambda effect, joint: True, print)
+    found = diagnose._past_fault(stub(problem=problem()), ended, 1.1, lambda effect, joint: True, print)
     assert found is (again if gone_on else ended)
     assert asked == ([ended] if fault else [])
 

@@ -168,8 +168,9 @@ def test_a_unit_without_its_constant_gets_it_by_the_masses(
     """A scale that would go as one."""
     found = read(monkeypatch, geared, fitting(0.05, 1.1), torque=torque)
     assert found.torque == read_as
+    doubted = [doubt for doubt in found.doubts if "rated torque right?" not in doubt]  # at the joint, see test_proposal
     known = None not in torque.values()
-    assert found.doubts == ([] if known else [f"one {torque['unit']} is assumed to be 1.1 N m, {readings.WHENCE}"])
+    assert doubted == ([] if known else [f"one {torque['unit']} is assumed to be 1.1 N m, {readings.WHENCE}"])
 
 
 @pytest.mark.parametrize(
