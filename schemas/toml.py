@@ -72,13 +72,13 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 def validate(model: type[_Model], values: dict[str, Any], path: Path, error: type[DeltatwinError]) -> _Model:
-    """`values` of a file as a `model`; a text or a truth value is no number.
+    """`values` of a file as a `model`; in a `TomlTable` a text or a truth value is no number.
 
     Raises:
         error: naming file, key and value of the first thing that is wrong.
     """
     try:
-        return model.model_validate(values, strict=True)
+        return model.model_validate(values, strict=issubclass(model, TomlTable))
     except ValidationError as cause:
         raise error(f"{path}: {explain(cause)}") from cause
 
