@@ -11,7 +11,7 @@ import typer
 from schemas.words import counted
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import Table, as_json, conclude, console, read_by, table
-from service.cli.reading import reading
+from service.cli.reading import prediction_files, reading
 
 if TYPE_CHECKING:
     from service.identification.evaluation import Evaluation, Moments
@@ -38,7 +38,6 @@ def command(
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
     from schemas.axes_description import load_description
-    from schemas.errors import TraceError
     from schemas.joints_description import Machine
     from service.identification.conclusion import of_evaluation
     from service.identification.evaluation import evaluate
@@ -47,10 +46,7 @@ def command(
 
     description = load_description(robot, effects)
     unit = in_units_of(description, "N m")
-    targets = [predictions / _csv_name(path) for path in traces] if predictions else []
-    for number, target in enumerate(targets):
-        if target in targets[:number]:
-            raise TraceError(f"{traces[number]}: a second log that would be written to {target}")
+    targets = prediction_files(predictions, [_csv_name(path) for path in traces], traces, robot) if predictions else []
     results: list[Evaluation] = []
     for number, trace in enumerate(reading(traces, description, columns, "evaluating")):
         result = evaluate(description, trace)

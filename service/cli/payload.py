@@ -10,7 +10,7 @@ import typer
 from schemas.words import percent
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import Table, as_json, conclude, console, table
-from service.cli.reading import reading
+from service.cli.reading import prediction_files, reading
 
 if TYPE_CHECKING:
     from service.identification.weighed_picks import CommonError, MassLevel, PayloadHistory, Score
@@ -70,13 +70,15 @@ def command(
     description = as_delta(described, Question.PICKS)
     if frame is not None:
         raise DataError(f"--frame {frame}: a Delta robot has its load on the platform")
+    names = [f"{path.name.split('.')[0]}.csv" for path in traces]
+    targets = prediction_files(predictions, names, traces, robot, *(truth or [])) if predictions else []
     screen = console()
     scores: list[Score] = []
     seen: dict[str, list[MassLevel]] = {}
     for number, trace in enumerate(reading(traces, description, columns, "estimating the payload")):
         found = payload_history(description, trace)
-        if predictions is not None:
-            _write(found, predictions / f"{trace.path.name.split('.')[0]}.csv")
+        if targets:
+            _write(found, targets[number])
         seen[str(trace.path)] = levels(found)
         if truth:
             scores += [score(found, pick) for pick in read_truth(truth[number])]

@@ -13,6 +13,23 @@ if TYPE_CHECKING:
     from schemas.trace import Trace
 
 
+def prediction_files(folder: Path, names: Sequence[str], traces: Sequence[Path], *read: Path) -> list[Path]:
+    """A file in `folder` for each of `traces`. names: theirs. read: what the command reads besides.
+
+    Raises:
+        StorageError: a file is one that is read. TraceError: two are the same.
+    """
+    from schemas.errors import TraceError
+    from schemas.files import check_apart
+
+    targets = [folder / name for name in names]
+    for number, target in enumerate(targets):
+        check_apart(target, *traces, *read)
+        if target in targets[:number]:
+            raise TraceError(f"{traces[number]}: a second log that would be written to {target}")
+    return targets
+
+
 def reading(paths: Sequence[Path], robot: Description | None, columns: str | None, title: str) -> Iterator[Trace]:
     """Yield the trace of each of `paths`; its findings go to stderr, and a progress bar where that is a terminal.
 

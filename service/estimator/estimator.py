@@ -124,7 +124,7 @@ class Estimator:
         plan_kernel(fresh)
         answer_kernel(fresh)
         findings_kernel(fresh)
-        compile_beside_payload(fresh[0], fresh[0]["error"])
+        compile_beside_payload(fresh[0])
         wait()
         look_back_kernel(fresh)
 

@@ -379,9 +379,9 @@ def look_back_kernel(steps) -> int:
     return int(step.payload.event)
 
 
-def compile_beside_payload(step: np.void, error_out: np.void) -> None:
+def compile_beside_payload(step: np.void) -> None:
     """Compile what `look_back_kernel` calls beside the payload. step: a STEP record."""
-    settings, state, error = numba.typeof(step["settings"]), numba.typeof(step["state"]), numba.typeof(error_out)
+    settings, state, error = (numba.typeof(step[name]) for name in ("settings", "state", "error"))
     _is_loose.inside.compile((settings, state))
     _tell.inside.compile((settings, state, numba.boolean, numba.int64))
     _errors.inside.compile((settings, state, numba.int64, error))

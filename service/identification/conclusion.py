@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 AS_IDENTIFIED = (
     2.0  # times what a model left of the logs that it was identified on, from which these logs are unlike them
 )
-GRAM = 1e-3  # kg, what nothing that is picked weighs less than
 
 
 def explains(ratio: np.ndarray) -> bool:
@@ -76,7 +75,7 @@ def of_payload(seen: Sequence[MassLevel]) -> str:
     span = f"{min(masses):.3f} kg" if len(picks) == 1 else f"{min(masses):.3f} to {max(masses):.3f} kg"
     random = np.median([one.random_std_dev for one in picks])
     trusted = np.average([one.trusted for one in picks], weights=[one.end - one.begin + 1e-9 for one in picks])
-    shares = [one.common_std_dev / max(one.mass, GRAM) for one in picks]
+    shares = [one.common_std_dev / max(one.mass, one.random_std_dev) for one in picks]
     common = " to ".join(dict.fromkeys(percent(extreme(shares), 1) for extreme in (min, max)))
     count = "1 pick" if len(picks) == 1 else f"{len(picks)} picks"
     return (

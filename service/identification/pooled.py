@@ -41,7 +41,6 @@ MOST_RIPPLES = 4  # orders a joint that the band has to reach
 RIPPLE_REACH = 1.3  # times their frequency at the middle speed
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
 WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
-SMALL = "near zero; its error is small beside the torque"
 NEGLIGIBLE_SHARE = 0.05
 HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
 # A parameter whose effect the others reproduce but for this share of its variance is not told apart from them.
@@ -476,5 +475,6 @@ def _estimate(
     if relative > WEAK:
         why = f"determined only to {100 * relative:.0f} %: log more motion that excites it"
         return ParameterEstimate(name, unit, value, error, "weak", why)
-    near_zero = error > WEAK * abs(value)  # held against more than the value, see `_scale`
-    return ParameterEstimate(name, unit, value, error, "identifiable", SMALL if near_zero else "")
+    if error > WEAK * abs(value):  # held against more than the value, see `_scale`
+        reason = "near zero; its error is small beside the torque"
+    return ParameterEstimate(name, unit, value, error, "identifiable", reason)

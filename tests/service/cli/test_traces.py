@@ -204,6 +204,19 @@ def test_no_result_takes_the_place_of_what_is_read(
     assert (tmp_path / "robot.toml").read_text(encoding="utf-8") == before
 
 
+@pytest.mark.parametrize("command", ["evaluate", "payload"])
+def test_no_prediction_takes_the_place_of_a_log(deltatwin: Run, tmp_path: Path, log: Path, command: str) -> None:
+    before = log.read_bytes()
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "log.csv").write_bytes(before)
+    done = deltatwin(command, "log.csv", "--robot", "d3-1200", "--predictions", "sub/..")
+    assert done.stderr == "deltatwin: sub/../log.csv: is an input file; give another name to write to\n"
+    done = deltatwin(command, "log.csv", "sub/log.csv", "--robot", "d3-1200", "--predictions", "told")
+    assert done.stderr == "deltatwin: sub/log.csv: a second log that would be written to told/log.csv\n"
+    assert log.read_bytes() == before
+    assert not (tmp_path / "told").exists()
+
+
 def test_inspect_ends_with_what_can_be_done_with_what_it_read(deltatwin: Run, tmp_path: Path, log: Path) -> None:
     (tmp_path / "empty.csv").touch()
     (tmp_path / "foreign.csv").write_text("a,b\n1,2\n", encoding="utf-8")
