@@ -7,6 +7,7 @@ A kept kernel that is not whole is made anew, and one that cannot be kept is mad
 once. Each carries a checksum, since what is loaded is machine code.
 """
 
+import gc
 import hashlib
 import os
 import pickle
@@ -18,7 +19,7 @@ from typing import Any
 from schemas.kernel_cache import kept_in  # noqa: F401 - before Numba, which reads the place then
 
 from numba import njit  # isort: skip
-from numba.core import types  # isort: skip
+from numba.core import event, types  # isort: skip
 from numba.core.caching import IndexDataCacheFile  # isort: skip
 from numba.core.registry import CPUDispatcher  # isort: skip
 
@@ -125,6 +126,30 @@ class _Kept(IndexDataCacheFile):
         stem = self._data_name_pattern.split("{")[0]
         names = os.listdir(self._cache_path) if os.path.isdir(self._cache_path) else []
         return [os.path.join(self._cache_path, name) for name in names if name.startswith(stem) and ".nbc" in name]
+
+
+class _Compiling(event.Listener):
+    """While the compiler works, the collector leaves alone what was there before: the compiler makes so many objects
+    that all else in the process would be searched over and over, an eighth of the time."""
+
+    def __init__(self) -> None:
+        self._depth = 0
+        self._frozen = False
+
+    def on_start(self, event: Any) -> None:
+        if self._depth == 0 and gc.get_freeze_count() == 0:  # what somebody else froze stays so
+            self._frozen = True
+            gc.freeze()
+        self._depth += 1
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._frozen:
+            self._frozen = False
+            gc.unfreeze()
+
+
+event.register("numba:compile", _Compiling())
 
 
 def _say(line: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import gc
 import os
 import signal
 import subprocess
@@ -161,7 +160,6 @@ def compile_payload(asking: int) -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if os.getppid() != asking:  # it ended while this one was starting
             return
-    gc.disable()  # the compiler leaves next to no garbage, and looking for it takes a tenth of the time
     step = np.zeros(1, state.STEP)[0]
     payload_kernel.inside.compile(tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
 

@@ -9,6 +9,7 @@ import pytest
 
 # Numba counts here what it compiles. In a file, since kernels of a text are not kept.
 ROOM = """
+import gc
 import sys
 
 from numba.core import event
@@ -16,11 +17,15 @@ from numba.core import event
 from schemas.kernels import kernel
 
 compiled = []
+if "frozen" in sys.argv:
+    gc.freeze()
 
 
 class Listener(event.Listener):
     def on_start(self, event):
         compiled.append(event.data["dispatcher"].py_func.__name__)
+        if "freezing" in sys.argv:
+            compiled.append(gc.get_freeze_count() > 10_000)
 
     def on_end(self, event):
         pass
@@ -44,6 +49,8 @@ def cubic(x):
 
 if __name__ == "__main__":
     print([globals()[name](*numbers) for name, numbers in eval(sys.argv[1])], compiled)
+    if "freezing" in sys.argv:
+        print(gc.get_freeze_count() > 0)
 """
 
 
@@ -54,8 +61,8 @@ def asked(tmp_path: Path):
     file.write_text(ROOM)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": os.getcwd()}
 
-    def ask(*calls: tuple[str, tuple[float, ...]]) -> str:
-        done = subprocess.run([sys.executable, file, str(calls)], env=environment, capture_output=True, text=True)
+    def ask(*calls: tuple[str, tuple[float, ...]], also: tuple[str, ...] = ()) -> str:
+        done = subprocess.run([sys.executable, file, str(calls), *also], env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
 
@@ -78,3 +85,12 @@ def test_both_forms_are_kept(asked):
 def test_what_is_kept_for_kernels_is_nothing_for_python_to_call(asked):
     asked(("cubic", (3.0,)))
     assert asked(("power", (2.0, 10))) == "[1024.0] ['power']"
+
+
+def test_while_one_is_compiled_the_collector_leaves_alone_what_was_there_before(asked):
+    told = asked(("cubic", (3.0,)), ("power", (2.0, 10)), also=("freezing",))
+    assert told == "[12.0, 1024.0] ['cubic', True, 'power', True, 'power', True]\nFalse"
+
+
+def test_what_a_program_has_frozen_stays_frozen(asked):
+    assert asked(("cubic", (3.0,)), also=("freezing", "frozen")).endswith("\nTrue")
