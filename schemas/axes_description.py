@@ -83,6 +83,10 @@ class Axes(Machine):
         return [axis.gear_ratio for axis in self.axis]
 
     @property
+    def predicts(self) -> bool:
+        return self.identified is not None
+
+    @property
     def linear(self) -> bool:
         return all(axis.unit == "m" for axis in self.axis)
 

@@ -79,6 +79,9 @@ class Chain(Machine):
     def gear_ratios(self) -> list[float]:
         return self.gear_ratio if isinstance(self.gear_ratio, list) else [self.gear_ratio] * self.count
 
+    def has_joints_of(self, other: Machine) -> bool:
+        return isinstance(other, Chain) and self.joints == other.joints
+
     @property
     def files(self) -> dict[str, str]:
         return super().files | {"urdf": str(self.folder / self.urdf)}

@@ -73,6 +73,10 @@ class Machine(Described):
         """Motors, from 0, that turn with several joints."""
         return [int(i) for i in np.flatnonzero(np.count_nonzero(self.motors, axis=1) > 1)]
 
+    def has_joints_of(self, other: Machine) -> bool:
+        """Whether it describes the same joints, as far as they are told apart."""
+        return type(self) is type(other) and self.count == other.count
+
     @property
     def mapping(self) -> str | None:
         """`columns`, a file as found from here."""

@@ -355,6 +355,11 @@ class Described(TomlTable):
         raise NotImplementedError
 
     @property
+    def predicts(self) -> bool:
+        """Whether a torque follows from it, if only a rough one."""
+        return True
+
+    @property
     def topics(self) -> Topics:
         """What its roles say on the bus."""
         raise NotImplementedError

@@ -14,7 +14,6 @@ from schemas.words import percent
 from service.identification import fit as solver
 from service.identification.fit import Fit, Problem
 from service.identification.pooled import start
-from service.model.mechanism import SerialArm
 from service.model.scene import Recording
 
 CLEAR = 0.25  # of the squared residual that is left at most when read as degrees
@@ -31,11 +30,11 @@ def refuse_wrong_angles(problem: Problem, files: str, fitted: Fit) -> None:
     """
     mechanism, given = problem.recordings[0].mechanism, list(problem.recordings)
     torque = sum(float(np.sum(problem.select(n, target) ** 2)) for n, target in enumerate(problem.target))
-    if isinstance(mechanism, SerialArm):
-        described = replace(mechanism, asked=False, known=mechanism.arm.weights)
+    described = mechanism.as_described()
+    if described is not None:
         given = [replace(recording, mechanism=described) for recording in given]
-        radians, tells = _left(problem, given), "with the masses of the URDF "
-    elif mechanism.kind == "delta":
+        radians, tells = _left(problem, given), "with the masses of the description "
+    elif mechanism.closed:
         radians, tells = fitted.cost, ""
         travel = max(float(np.ptp(recording.segment.theta, axis=0).max()) for recording in given)
         if travel < MOVES:

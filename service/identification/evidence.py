@@ -28,7 +28,7 @@ from service.identification.fit import within
 from service.identification.folds import BLOCK, FOLDS
 from service.identification.regression import summarise
 from service.model.coulomb_viscous import mean_direction
-from service.model.mechanism import SerialArm, mechanism_of
+from service.model.mechanism import mechanism_of
 from service.model.nominal import pack
 from service.model.scene import Recording
 from service.model.signals import Band, resolved_hz, segments, thin
@@ -172,8 +172,8 @@ class MachineSums:
 def machine_sums(robot: Axes | Chain, runs: Sequence[Run]) -> MachineSums | None:
     """None where no run has a part that can be used, or no joint moves long enough."""
     mechanism = mechanism_of(robot)
-    if isinstance(mechanism, SerialArm):
-        mechanism = replace(mechanism, asked=False, known=mechanism.arm.weights if mechanism.asked else mechanism.known)
+    described = mechanism.as_described()
+    mechanism, masses = described or mechanism, described is not None
     try:
         parts = [[thin(part) for part in segments(trial(run, not robot.linear))] for run in runs]
     except TraceError:
@@ -187,11 +187,10 @@ def machine_sums(robot: Axes | Chain, runs: Sequence[Run]) -> MachineSums | None
     rows = np.concatenate([np.where(part.moving, part.torque, np.nan) for part in flat])
     if seconds.max() <= SHORTEST:
         return None
-    arm = isinstance(mechanism, SerialArm)
     rubs = 2 * len(mechanism.frictions)
     low = [coefficient.low for coefficient in mechanism.coefficients.values()]
-    low += [0.0] * rubs + [-np.inf] * mechanism.joints + [MASSES[0]] * arm
-    high = [np.inf] * (len(low) - arm) + [MASSES[1]] * arm
+    low += [0.0] * rubs + [-np.inf] * mechanism.joints + [MASSES[0]] * masses
+    high = [np.inf] * (len(low) - masses) + [MASSES[1]] * masses
     pieces = np.minimum(seconds / BLOCK, PIECES)
     gram = np.asarray(grams)
     about = [
@@ -199,7 +198,7 @@ def machine_sums(robot: Axes | Chain, runs: Sequence[Run]) -> MachineSums | None
         for column in rows.T
     ]
     square = gram[:, :, -1, -1].sum(axis=0) * about
-    return MachineSums(gram, square, np.array(low), np.array(high), pieces, len(low) - 1 if arm else None)
+    return MachineSums(gram, square, np.array(low), np.array(high), pieces, len(low) - 1 if masses else None)
 
 
 def _gram(recording: Recording, band: Band) -> np.ndarray:
@@ -214,7 +213,7 @@ def _gram(recording: Recording, band: Band) -> np.ndarray:
     dry = mean_direction(sliding, turns)
     rubs = [rate[:, None, :] * mechanism.rows.T[None] for rate in (sliding, dry)]
     spring = segment.theta[:, :, None] * np.eye(joints)
-    known = [rigid.known[..., None]] if isinstance(mechanism, SerialArm) else []
+    known = [rigid.known[..., None]] if mechanism.as_described() is not None else []
     columns = np.concatenate([rigid.columns, *rubs, spring, *known, segment.torque[..., None]], axis=-1)
     columns = band(columns)
     fold = _folds(len(columns), band.period * band.step)

@@ -9,6 +9,7 @@ from schemas.errors import RobotError
 from schemas.joints_description import Machine
 from schemas.trace import Trace
 from service.identification.calibration import CalibratedFigure, calibrate
+from service.identification.copies import refuse_copies
 from service.identification.from_traces import Method, identify
 from service.identification.joint_machines import identify_axes
 from service.identification.pooled import Identification
@@ -38,7 +39,9 @@ def identify_logs(
             raise RobotError(f"{description.origin}: --carried: it needs the platform of a Delta robot")
         if method == "paper":
             raise RobotError(f"{description.origin}: --method paper: the paper's method is for a Delta robot")
-        return identify_axes(description, list(logs), rigs), ()
+        logs = list(logs)
+        refuse_copies(logs)
+        return identify_axes(description, logs, rigs), ()
     if any(rigs):
         raise RobotError(f"{description.origin}: --rig: it needs servo axes; for a known load of a Delta use --carried")
     if not carried:

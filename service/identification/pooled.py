@@ -186,7 +186,7 @@ def start(problem: Problem) -> Hypothesis:
     """The base model as far as it is described, before anything is fitted."""
     mechanism = problem.recordings[0].mechanism
     n, unit = len(mechanism.frictions), _lever(problem)
-    transition = START_TRANSITION if mechanism.kind == "delta" else np.full(n, START_TRANSITION * unit)
+    transition = np.full(n, START_TRANSITION * unit) if mechanism.own_transitions else START_TRANSITION
     return Hypothesis(Base(mechanism.start, np.zeros(n), np.zeros(n), transition), timed=False)
 
 
@@ -203,7 +203,7 @@ def _still(problem: Problem) -> solver.Fit:
     """The same at one instant, optional coefficients left out where data left out do not want them."""
     fitted = solver.fit(problem, start(problem))
     mechanism = problem.recordings[0].mechanism
-    if mechanism.kind == "delta":
+    if not mechanism.own_transitions:
         return fitted
     fitted = _turning(problem, fitted)
     split, names = Split.of(problem), list(mechanism.coefficients)

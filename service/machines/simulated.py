@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.axes_description import Axes
 from schemas.errors import DataError
 from service.machines.forward_runs import run
 from service.machines.joint_motions import JointMotion
@@ -41,7 +40,7 @@ def simulate(machine: MachineModel, motion: JointMotion, rng: np.random.Generato
             known.
     """
     robot = machine.description
-    if isinstance(robot, Axes) and robot.identified is None:
+    if not robot.predicts:
         raise DataError(f"{robot.name}: no [identified] parameters to simulate: run `deltatwin identify`")
     base, mechanism = base_of(robot), machine.mechanism
     forward = mechanism.rigid(motion.theta, motion.theta_dot, motion.theta_ddot).torque(base.rigid)

@@ -7,9 +7,10 @@ the platform and in the ball joints need.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from service.model.arm import UNITS, Arm, Reduction
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.kinematics import jacobian, motion
 from service.model.nominal import Correction, DeltaModel, pack
+
+TEXTBOOK = "M_KH"  # the paper's model before identification
+URDF = "URDF"  # of an arm: its masses without friction
 
 
 class Rigid(NamedTuple):
@@ -40,13 +44,26 @@ class Coefficient(NamedTuple):
     low: float = 0.0
 
 
+class Direct(Protocol):
+    """The torque of a mechanism, and its slopes, without the columns of `rigid`."""
+
+    def torque(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray: ...
+    def slopes(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray: ...
+
+
 class Mechanism(Protocol):
     """n joints with k identified coefficients, by name.
 
     frictions: what rubs, F of them, the joints' own first. rows: (F, n), share of each joint's speed in the speed of
     each. optional: coefficients that stand or fall together, and fall where the data do not want them. start: (k,)
     coefficients as described, zero where they are not; they stand where the data do not tell. links: (k,) bool, those
-    that are of links whose masses are described.
+    that are of links whose masses are described. closed: all links hang on one platform, and feel each other's gears.
+    own_transitions: each friction has one of its own. unidentified: coefficients (k,) of models that need no
+    identification, by name. direct: of a mechanism with so many columns that they are made only where they are needed.
     """
 
     @property
@@ -67,8 +84,18 @@ class Mechanism(Protocol):
     def start(self) -> np.ndarray: ...
     @property
     def links(self) -> np.ndarray: ...
+    @property
+    def closed(self) -> bool: ...
+    @property
+    def own_transitions(self) -> bool: ...
+    @property
+    def unidentified(self) -> Mapping[str, np.ndarray]: ...
+    @property
+    def direct(self) -> Direct | None: ...
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid: ...
+    def grey(self, coefficients: np.ndarray) -> np.ndarray: ...
+    def as_described(self) -> Mechanism | None: ...
 
 
 class Arms(NamedTuple):
@@ -98,6 +125,10 @@ class Delta:
     optional = ()
     start = np.zeros(3)  # a Delta's description is asked for by name, see `pooled.fit`
     links = np.zeros(3, bool)
+    closed = True
+    own_transitions = False
+    unidentified = {TEXTBOOK: np.array([1.0, 1.0, 0.0])}  # noqa: RUF012 - a constant of the class
+    direct = None
     coefficients = {  # noqa: RUF012 - a constant of the class
         "rho_1": Coefficient(""),
         "rho_2": Coefficient(""),
@@ -113,6 +144,14 @@ class Delta:
         """Torque of (N, 3) motions."""
         terms = torque_terms(self.model, theta, theta_dot, theta_ddot)
         return Rigid(terms[:, PLATFORM], np.stack([terms[:, INERTIA], terms[:, GRAVITY], terms[:, FOREARM]], axis=-1))
+
+    def grey(self, coefficients: np.ndarray) -> np.ndarray:
+        """Those of M_Id, which has no forearm inertia."""
+        return coefficients * self.unidentified[TEXTBOOK]
+
+    def as_described(self) -> Mechanism | None:
+        """Its masses are described as a whole, by the geometry."""
+        return None
 
     def payload(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
         """(N, 3) N m per kg at the platform."""
@@ -159,11 +198,17 @@ class _Servos:
 
     gear_ratio: np.ndarray
     motors: np.ndarray | None = None
+    closed = False
+    own_transitions = True
 
     @property
     def joints(self) -> int:
         """n."""
         return len(self.gear_ratio)
+
+    def grey(self, coefficients: np.ndarray) -> np.ndarray:
+        """All of them."""
+        return coefficients
 
     @cached_property
     def shared(self) -> dict[str, np.ndarray]:
@@ -199,6 +244,8 @@ class DecoupledAxes(_Servos):
 
     weighs: tuple[int, ...] = ()
     kind = "axes"
+    unidentified = MappingProxyType[str, np.ndarray]({})
+    direct = None
 
     @classmethod
     def of(cls, axes: Axes) -> DecoupledAxes:
@@ -230,6 +277,10 @@ class DecoupledAxes(_Servos):
     def links(self) -> np.ndarray:
         """None."""
         return np.zeros(len(self.coefficients), bool)
+
+    def as_described(self) -> Mechanism | None:
+        """No masses are described."""
+        return None
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""
@@ -326,6 +377,20 @@ class SerialArm(_Servos):
             described[-len(self.arm.weights) :] = self.arm.weights
         return self._reduction.shares @ described
 
+    @property
+    def unidentified(self) -> dict[str, np.ndarray]:
+        """The masses of the URDF, without friction."""
+        return {URDF: self.start}
+
+    @property
+    def direct(self) -> Direct:
+        """Itself."""
+        return self
+
+    def as_described(self) -> Mechanism:
+        """The same arm with the masses of its links as they are described, not asked for."""
+        return replace(self, asked=False, known=self.arm.weights) if self.asked else self
+
     def told(self, coefficients: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
         """Rotors and constant loads by name, and the links' weights (10 n,) that `coefficients` are found of; what
         these leave open stays as described."""
@@ -407,8 +472,13 @@ class SerialArm(_Servos):
         return Rigid(links @ self.known, self._columns(links, theta_ddot)[..., self._reduction.kept])
 
 
+MECHANISMS: dict[type, Callable[[Any], Mechanism]] = {  # a line a kind
+    Robot: Delta.of,
+    Axes: DecoupledAxes.of,
+    Chain: SerialArm.of,
+}
+
+
 def mechanism_of(robot: Description) -> Mechanism:
     """The mechanism of a description; effects it names are not in it."""
-    if isinstance(robot, Chain):
-        return SerialArm.of(robot)
-    return DecoupledAxes.of(robot) if isinstance(robot, Axes) else Delta.of(robot)
+    return MECHANISMS[type(robot)](robot)

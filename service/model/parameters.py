@@ -188,5 +188,5 @@ def base_parameters(mechanism: Mechanism) -> list[Quantity]:
 def shown_parameters(mechanism: Mechanism) -> list[Quantity]:
     """The base model's parameters as far as documents show them: with the transitions, where each friction has one."""
     low, high = TRANSITION[0], WIDE_TRANSITION
-    own = () if mechanism.kind == "delta" else mechanism.frictions
+    own = mechanism.frictions if mechanism.own_transitions else ()
     return base_parameters(mechanism) + [Quantity(f"transition_{name}", "rad/s", low, high) for name in own]

@@ -8,10 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from schemas.axes_description import Axes, Description
-from schemas.chain_description import Chain
+from schemas.axes_description import Description
 from schemas.errors import DataError, PoseError, TraceError
-from schemas.joints_description import Machine
 from schemas.trace import Trace
 from service.model.coulomb_viscous import mean_direction
 from service.model.description import hypothesis_of, torque_along
@@ -20,8 +18,6 @@ from service.model.signals import Segment, between, lowpass, resolved_hz, segmen
 
 MODELS = ("M_KH", "M_Id", "M_Id+F", "full")  # each a superset of the one before; full adds forearm and effects
 FULL = MODELS[-1]
-URDF = "URDF"  # of an arm: its masses without friction
-TEXTBOOK = np.array([1.0, 1.0, 0.0])  # rho_1, rho_2 and forearm of M_KH
 
 
 @dataclass(frozen=True)
@@ -83,23 +79,18 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
         TraceError: its positions are no pose of the robot, naming the file.
         RobotError: the robot carries an effect that is not known. DataError: it describes axes without figures.
     """
-    if isinstance(robot, Axes) and robot.identified is None:
+    if not robot.predicts:
         raise DataError(f"robot {robot.name}: no [identified] parameters: run `deltatwin diagnose` on its logs first")
     try:
         mechanism = mechanism_of(robot)
         rigid = mechanism.rigid(along.theta, along.theta_dot, along.theta_ddot)
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
-    result = {}
-    if isinstance(robot, Chain):
-        result[URDF] = rigid.torque(mechanism.start)
-    if not isinstance(robot, Machine):
-        result["M_KH"] = rigid.torque(TEXTBOOK)
+    result = {name: rigid.torque(coefficients) for name, coefficients in mechanism.unidentified.items()}
     if robot.identified is not None:
         hypothesis = hypothesis_of(robot)
         base = hypothesis.base
-        coefficients = base.rigid if isinstance(robot, Machine) else base.rigid * TEXTBOOK
-        result["M_Id"] = rigid.torque(coefficients)
+        result["M_Id"] = rigid.torque(mechanism.grey(base.rigid))
         sliding = along.theta_dot @ mechanism.rows.T
         friction = base.viscous * sliding + base.coulomb * mean_direction(sliding, base.transition)
         friction = friction @ mechanism.rows

@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.model.coulomb_viscous import mean_direction
-from service.model.mechanism import Arms, Delta, Mechanism, Rigid, SerialArm
+from service.model.mechanism import Arms, Delta, Mechanism, Rigid
 from service.model.nominal import Correction
 from service.model.signals import Segment
 
@@ -188,9 +188,9 @@ class Scene:
     @cached_property
     def weight(self) -> np.ndarray:
         """(N, n) N m: `load` without motion."""
-        if isinstance(self.mechanism, SerialArm):  # without its many columns
+        if self.mechanism.direct is not None:
             still = np.zeros_like(self.segment.theta)
-            return self.mechanism.torque(self.segment.theta, still, still, self.base.rigid)
+            return self.mechanism.direct.torque(self.segment.theta, still, still, self.base.rigid)
         return self.recording.at_rest.torque(self.base.rigid)
 
     @cached_property
@@ -210,30 +210,31 @@ class Scene:
         return self._slopes[joint]
 
     def _rigid_slopes(self, joint: int) -> np.ndarray:
-        if self._of_arm is not None:
-            return self._of_arm[joint]
+        if self._direct_slopes is not None:
+            return self._direct_slopes[joint]
         return np.tensordot(self.recording.by_motion[joint], np.append(self.base.rigid, 1.0), 1)
 
     @cached_property
-    def _of_arm(self) -> np.ndarray | None:
-        """(joint, N, n, 3): slopes of the rigid torque of an arm, by its own derivatives. With its many coefficients
-        `by_motion` would take hundreds of megabytes."""
-        if not isinstance(self.mechanism, SerialArm):
+    def _direct_slopes(self) -> np.ndarray | None:
+        """(joint, N, n, 3): slopes of the rigid torque. With the many coefficients of an arm `by_motion` would take
+        hundreds of megabytes."""
+        if self.mechanism.direct is None:
             return None
         motion = self.segment
-        return self.mechanism.slopes(motion.theta, motion.theta_dot, motion.theta_ddot, self.base.rigid)
+        return self.mechanism.direct.slopes(motion.theta, motion.theta_dot, motion.theta_ddot, self.base.rigid)
 
     @cached_property
-    def _load_of_arm(self) -> np.ndarray:
+    def _direct_load(self) -> np.ndarray:
         """`load`, by the algorithm that `moved` uses: their difference is of the motion alone."""
-        assert isinstance(self.mechanism, SerialArm)
+        assert self.mechanism.direct is not None
         motion = self.segment
-        return self.mechanism.torque(motion.theta, motion.theta_dot, motion.theta_ddot, self.base.rigid)
+        return self.mechanism.direct.torque(motion.theta, motion.theta_dot, motion.theta_ddot, self.base.rigid)
 
     def moved(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
         """(N, n) N m: rigid torque along another motion, above that along the recorded one."""
-        if isinstance(self.mechanism, SerialArm):
-            return self.mechanism.torque(theta, theta_dot, theta_ddot, self.base.rigid) - self._load_of_arm
+        direct = self.mechanism.direct
+        if direct is not None:
+            return direct.torque(theta, theta_dot, theta_ddot, self.base.rigid) - self._direct_load
         return self.mechanism.rigid(theta, theta_dot, theta_ddot).torque(self.base.rigid) - self.load
 
     @cached_property

@@ -24,9 +24,9 @@ def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
 
 
 def swings(scene: Scene, term: Term) -> bool:
-    """Whether an effect makes links swing that feel each other: those of a Delta all hang on the platform. Play
+    """Whether an effect makes links swing that feel each other: those that all hang on one platform. Play
     does too, but less is left of its impacts where each joint is simulated by itself, in finer steps."""
-    return isinstance(term.effect, JointElasticity) and scene.mechanism.kind == "delta"
+    return isinstance(term.effect, JointElasticity) and scene.mechanism.closed
 
 
 def together(scene: Scene, gears: Sequence[Term]) -> np.ndarray:

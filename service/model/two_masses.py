@@ -100,7 +100,7 @@ class Relative(NamedTuple):
 def relative_motion(scene: Scene, joint: int, figures: Sequence[tuple[float, float, float, float]]) -> Relative:
     """Link behind the recorded motor of `joint`, for L `figures` as of `two_masses`."""
     spring, drag, whole = scene.slopes(joint)[:, joint].T.copy()
-    if scene.mechanism.kind == "delta":
+    if scene.mechanism.closed:
         all_of_them, most = inertias(scene.delta.model, scene.base.rigid)
         inertia = all_of_them[joint]
     else:  # a base model that found no inertia has no link that could swing

@@ -98,7 +98,7 @@ def compare(
     if not SHORTEST <= horizon <= LONGEST:
         raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
     for name, machine in machines.items():
-        if isinstance(machine, Axes) and machine.identified is None:
+        if not machine.predicts:
             raise DataError(f"{name}: no [identified] parameters to simulate: run `deltatwin identify`")
     parts = [(trace, thin(part)) for trace, whole in zip(traces, segments_of(traces), strict=True) for part in whole]
     period = one_period([(str(trace.path), part) for trace, part in parts])
@@ -206,8 +206,7 @@ def named(machines: Sequence[tuple[str, Axes | Chain]]) -> dict[str, Axes | Chai
     if isinstance(given, Chain):
         result[PLAIN] = plain(given)
     for name, machine in machines:
-        same = type(machine) is type(given) and machine.count == given.count
-        if not same or (isinstance(machine, Chain) and isinstance(given, Chain) and machine.joints != given.joints):
+        if not machine.has_joints_of(given):
             raise DataError(f"{name}: describes other joints than {first}: compare descriptions of one machine")
         result[name] = machine
     return result

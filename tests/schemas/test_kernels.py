@@ -62,7 +62,8 @@ def asked(tmp_path: Path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": os.getcwd()}
 
     def ask(*calls: tuple[str, tuple[float, ...]], also: tuple[str, ...] = ()) -> str:
-        done = subprocess.run([sys.executable, file, str(calls), *also], env=environment, capture_output=True, text=True)
+        command = [sys.executable, file, str(calls), *also]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
 

@@ -45,7 +45,7 @@ class LoadDependentFriction(Effect):
 
     def grid(self, scene: Scene) -> list[tuple[float, ...]]:
         """Of a Delta's load nothing is taken off, as its online form takes nothing off."""
-        return [(0.0,)] if scene.mechanism.kind == "delta" else super().grid(scene)
+        return [(0.0,)] if scene.mechanism.closed else super().grid(scene)
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""

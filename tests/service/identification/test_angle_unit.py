@@ -15,16 +15,9 @@ from tests.service.subject import Hypothesis, fit
 from tests.service.world import BASE, course, problem, stub
 
 TORQUE = 1000.0  # squared, in units of the noise
-
-
-@dataclass(frozen=True)
-class Arm:
-    """An arm whose masses are asked for, as the rule sees it."""
-
-    kind: str = "chain"
-    asked: bool = True
-    known: Any = None
-    arm: Any = None
+ARM = stub(closed=False, as_described=lambda: "as described")
+AXES = stub(closed=False, as_described=lambda: None)
+DELTA = stub(closed=True, as_described=lambda: None)
 
 
 @dataclass(frozen=True)
@@ -40,14 +33,13 @@ def refused(
 ) -> str:
     """Why angles are refused that leave so much read as radians and as degrees; "": they are not."""
     segment = stub(theta=np.array([[0.0, 0.0], [0.0, travel]]))
-    recordings = [Part(mechanism or stub(kind="delta"), segment)] * 2
+    recordings = [Part(mechanism or DELTA, segment)] * 2
 
     def left(problem: Any, asked: list[Part]) -> float:
-        if isinstance(mechanism, Arm):
-            assert [(one.mechanism.asked, one.mechanism.known) for one in asked] == [(False, "weights")] * 2
+        if mechanism is ARM:
+            assert [one.mechanism for one in asked] == ["as described"] * 2
         return degrees if asked[1].segment == "degrees" else radians
 
-    monkeypatch.setattr(angle_unit, "SerialArm", Arm)
     monkeypatch.setattr(angle_unit, "_left", left)
     monkeypatch.setattr(angle_unit, "_as_degrees", lambda part: replace(part, segment="degrees"))
     half = np.full(5, np.sqrt(TORQUE / 10))
@@ -81,11 +73,10 @@ def test_an_arm_is_read_with_the_masses_of_its_description_and_axes_are_not_aske
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """However little is left, and however little it moves."""
-    arm = Arm(arm=stub(weights="weights"))
-    told = refused(monkeypatch, 2.4, 0.5, 0.01, arm)
-    assert told.startswith("a, b: with the masses of the URDF the torque fits positions in degrees")
-    assert refused(monkeypatch, 2.4, 0.7, mechanism=arm) == ""
-    assert refused(monkeypatch, 900.0, 1.0, mechanism=stub(kind="axes")) == ""
+    told = refused(monkeypatch, 2.4, 0.5, 0.01, ARM)
+    assert told.startswith("a, b: with the masses of the description the torque fits positions in degrees")
+    assert refused(monkeypatch, 2.4, 0.7, mechanism=ARM) == ""
+    assert refused(monkeypatch, 900.0, 1.0, mechanism=AXES) == ""
 
 
 def test_a_delta_has_to_move_a_fiftieth_of_a_radian(monkeypatch: pytest.MonkeyPatch) -> None:

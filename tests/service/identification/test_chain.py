@@ -110,7 +110,7 @@ def test_degrees_that_are_called_radians(bench: Path, tmp_path: Path) -> None:
     arguments = ["identify", log, "--robot", bench / "small.toml", "--out", tmp_path / "out.toml"]
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert isinstance(result.exception, DataError)
-    assert "small.csv: with the masses of the URDF the torque fits positions in degrees" in str(result.exception)
+    assert "small.csv: with the masses of the description the torque fits positions in degrees" in str(result.exception)
 
 
 def test_joints_in_another_order_than_the_log_has_are_told(bench: Path, tmp_path: Path) -> None:

@@ -156,6 +156,16 @@ def test_evaluate_and_diagnose_take_what_was_found(bench: Path, found: Axes, tmp
     assert document["base"]["f_c_motor_3"]["value"] == pytest.approx(MOTOR_COULOMB, rel=0.05)
 
 
+def test_a_part_of_a_log_is_no_second_log(bench: Path, tmp_path: Path) -> None:
+    part = tmp_path / "part.csv"
+    part.write_text("".join((bench / "log_0.csv").read_text().splitlines(keepends=True)[:2000]))
+    arguments = ["identify", bench / "log_0.csv", part, "--robot", bench / "bench.toml", "--columns"]
+    told = run(app, [str(given) for given in (*arguments, bench / "columns.toml", "--out", tmp_path / "out.toml")])
+    assert isinstance(told.exception, DataError)
+    assert str(told.exception) == f"{part}: the same motion and torque as {bench / 'log_0.csv'}; give it only once"
+    assert not (tmp_path / "out.toml").exists()
+
+
 @pytest.mark.parametrize(
     ("line", "words"),
     [

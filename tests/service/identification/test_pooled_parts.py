@@ -279,7 +279,7 @@ def test_data_left_out_want_what_gains_a_hundredth_and_not_by_chance(
 def test_a_group_that_is_not_wanted_is_out_as_a_whole(
     monkeypatch: pytest.MonkeyPatch, needless: tuple[str, ...], kept: list[bool] | None
 ) -> None:
-    mechanism = stub(kind="axes", coefficients=dict.fromkeys("abcd"), optional=[("b", "c"), ("d",)])
+    mechanism = stub(own_transitions=True, coefficients=dict.fromkeys("abcd"), optional=[("b", "c"), ("d",)])
     first = stub(hypothesis=Hypothesis(Base(np.array([1.0, 2.0, 3.0, 4.0]), np.ones(1), np.ones(1))))
     monkeypatch.setattr(pooled, "start", lambda problem: first.hypothesis)
     monkeypatch.setattr(pooled.solver, "fit", lambda problem, hypothesis: stub(hypothesis=hypothesis))
