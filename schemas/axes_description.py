@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import tomlkit
 from pydantic import Field, model_validator
@@ -24,8 +24,9 @@ from schemas.chain_description import Chain
 from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
 from schemas.files import write_text
+from schemas.fitted import Fitted, JointParameter, Parameter, per_joint
 from schemas.joints_description import JointFriction, Machine
-from schemas.robot import JointParameter, Robot, Source, load_robot, save_robot, toml_item
+from schemas.robot import Robot, Source, load_robot, save_robot, toml_item
 from schemas.toml import Positive, TomlTable, read_toml, validate
 from schemas.urdf import read_urdf
 
@@ -60,6 +61,23 @@ class AxesIdentified(JointFriction):
     gravity_cos: JointParameter | None = None
     motor_inertia: JointParameter | None = None
 
+    @classmethod
+    def of(cls, fitted: Fitted) -> Self:
+        """The section with a fitted base model."""
+        return cls.model_validate({key: fitted.joints(name) for key, name in _RIGID.items()} | cls._frictions(fitted))
+
+    @property
+    def figures(self) -> dict[str, Parameter]:
+        found = super().figures
+        for key, name in _RIGID.items():
+            found |= per_joint(name, getattr(self, key))
+        return found
+
+
+_RIGID = {"motor_inertia": "inertia_motor_{}"} | {
+    name: f"{name}_{{}}" for name in ("inertia", "offset", "gravity_sin", "gravity_cos")
+}
+
 
 class Axes(Machine):
     """One or more servo axes that do not influence each other."""
@@ -85,6 +103,9 @@ class Axes(Machine):
     @property
     def predicts(self) -> bool:
         return self.identified is not None
+
+    def identified_as(self, fitted: Fitted) -> AxesIdentified:
+        return AxesIdentified.of(fitted)
 
     @property
     def linear(self) -> bool:

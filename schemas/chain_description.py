@@ -15,13 +15,15 @@ payload = { frame = "tool0", mass_kg = 1.5, centre_m = [0.0, 0.0, 0.05] }  # wit
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
 from schemas.columns import MAX_JOINTS
+from schemas.fitted import Fitted, Parameter
 from schemas.joints_description import JointFriction, Machine
-from schemas.robot import Gravity, Parameter
+from schemas.robot import Gravity
 from schemas.toml import NotNegative, Positive, Three, TomlTable
 from schemas.urdf import Urdf
 
@@ -40,6 +42,16 @@ class ChainIdentified(JointFriction):
     """rigid: base parameters (combinations of masses that motion determines), rotor inertias and constant loads."""
 
     rigid: dict[str, Parameter]
+
+    @classmethod
+    def of(cls, fitted: Fitted, given: Mapping[str, Parameter]) -> Self:
+        """The section with a fitted base model. given: of the links, not fitted."""
+        rigid = {name: fitted.one(name) for name in fitted.figures if not name.startswith(("f_v_", "f_c_"))}
+        return cls.model_validate({"rigid": {**given, **rigid}} | cls._frictions(fitted))
+
+    @property
+    def figures(self) -> dict[str, Parameter]:
+        return super().figures | self.rigid
 
 
 class Chain(Machine):
@@ -74,6 +86,10 @@ class Chain(Machine):
     @property
     def count(self) -> int:
         return len(self.joints)
+
+    def identified_as(self, fitted: Fitted) -> ChainIdentified:
+        given = {} if self.identified is None or self.masses == "identified" else self.identified.rigid
+        return ChainIdentified.of(fitted, given)
 
     @property
     def gear_ratios(self) -> list[float]:

@@ -3,11 +3,14 @@ log, and motors that may turn with several of them."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from pydantic import BaseModel
 
+from schemas.fitted import Fitted, JointParameter, Parameter, per_joint
 from schemas.messages import OF_JOINTS, Topics
-from schemas.robot import Described, EffectEntry, JointParameter, check_joints
+from schemas.robot import Described, EffectEntry, check_joints
 from schemas.toml import NotNegative, Positive, TomlTable
 
 MOST_COUPLED = 1e6  # condition of a coupling matrix
@@ -28,6 +31,27 @@ class JointFriction(TomlTable):
     torque_timing_s: float = 0.0  # time by which the torque is older than the position
     # Hz up to which the torque follows the motion as modelled; above, predictions are not reliable. Default: no limit
     torque_band_hz: Positive | None = None
+
+    @staticmethod
+    def _frictions(fitted: Fitted) -> dict[str, Any]:
+        """The keys of a fitted base model that all kinds have."""
+        band = {} if fitted.band_hz is None else {"torque_band_hz": fitted.band_hz}
+        frictions = {key: fitted.joints(name) for key, name in _FRICTIONS.items()}
+        return {"torque_timing_s": fitted.timing_s} | band | frictions | {"friction_transition": fitted.transition}
+
+    @property
+    def figures(self) -> dict[str, Parameter]:
+        """Those of the base model, by name."""
+        found: dict[str, Parameter] = {}
+        for key, name in _FRICTIONS.items():
+            found |= per_joint(name, getattr(self, key))
+        return found
+
+
+_FRICTIONS = {
+    "viscous_friction": "f_v_{}", "coulomb_friction": "f_c_{}",
+    "motor_viscous_friction": "f_v_motor_{}", "motor_coulomb_friction": "f_c_motor_{}",
+}  # fmt: skip
 
 
 class JointLimits(TomlTable):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import tomlkit
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PrivateAttr, model_validator
@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PrivateA
 from schemas.columns import Columns
 from schemas.errors import RobotError
 from schemas.files import make_folder, write_text
+from schemas.fitted import Fitted, JointParameter, Parameter, per_joint
 from schemas.messages import OF_DELTA, Topics
 from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
 from schemas.zenoh_keys import check_robot_name
@@ -228,22 +229,6 @@ class FourthAxis(TomlTable):
     coulomb_friction_nm: NotNegative = 0.0  # of the shaft
 
 
-class Parameter(TomlTable):
-    """One identified value with its standard error in the same unit, and whether the data determine it."""
-
-    value: float  # as fitted
-    std_error: NotNegative = 0.0  # of `value`
-    verdict: Literal["identifiable", "weak", "not identifiable"] = "identifiable"  # whether the data determine it
-
-
-class JointParameter(TomlTable):
-    """The same with one value per joint."""
-
-    value: list[float]  # as fitted, joint 1 first
-    std_error: list[NotNegative] = []  # of each `value`
-    verdict: list[Literal["identifiable", "weak", "not identifiable"]] = []  # whether the data determine it
-
-
 def check_joints(identified: BaseModel | None, effects: list[EffectEntry], count: int) -> None:
     """
     Raises:
@@ -280,6 +265,25 @@ class Identified(TomlTable):
     # Standard error of the torque constants as a share, by a known load; absent without one.
     torque_constant_error: NotNegative | None = None
     torque_timing_s: float = 0.0  # time by which the torque is older than the position, within a sample
+
+    @classmethod
+    def of(cls, fitted: Fitted) -> Self:
+        """The section with a fitted base model."""
+        return cls.model_validate(
+            {name: fitted.one(name) for name in _RIGID}
+            | {"viscous_friction_nms": fitted.joints("f_v_{}"), "coulomb_friction_nm": fitted.joints("f_c_{}")}
+            | {"friction_transition_radps": fitted.transition, "torque_timing_s": fitted.timing_s}
+        )
+
+    @property
+    def figures(self) -> dict[str, Parameter]:
+        """Those of the base model, by name."""
+        rigid = {name: getattr(self, name) for name in _RIGID}
+        viscous, coulomb = self.viscous_friction_nms, self.coulomb_friction_nm
+        return rigid | per_joint("f_v_{}", viscous) | per_joint("f_c_{}", coulomb)
+
+
+_RIGID = ("rho_1", "rho_2", "forearm_inertia_kg")
 
 
 class EffectEntry(TomlTable):
@@ -359,6 +363,10 @@ class Described(TomlTable):
         """Whether a torque follows from it, if only a rough one."""
         return True
 
+    def identified_as(self, fitted: Fitted) -> TomlTable:
+        """Its `[identified]` section with a fitted base model."""
+        raise NotImplementedError
+
     @property
     def topics(self) -> Topics:
         """What its roles say on the bus."""
@@ -409,6 +417,10 @@ class Robot(Described):
     @property
     def topics(self) -> Topics:
         return OF_DELTA
+
+    def identified_as(self, fitted: Fitted) -> Identified:
+        """Of the plain model: what is known of the torque's noise and constants is told by other means."""
+        return Identified.of(fitted)
 
     @property
     def torque_noise(self) -> JointParameter | None:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
+from schemas.fitted import JointParameter, Parameter
 from schemas.messages import SAMPLE, set_stamp, stamp_ns
-from schemas.robot import Geometry, Identified, JointParameter, Mass, Parameter, Robot
+from schemas.robot import Geometry, Identified, Mass, Robot
 from schemas.trace import Trace
 from service.estimator.estimator import Estimator
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms

@@ -20,8 +20,9 @@ from drivers.simulated.plant.effects import PlantEffect
 from drivers.simulated.plant.plant import Plant, make_plant
 from drivers.simulated.plant.plant_on_bus import LiveRun, run_live
 from replay.clock import Pacer
+from schemas.fitted import JointParameter, Parameter
 from schemas.messages import NANOSECONDS, HealthFlag, Role
-from schemas.robot import Identified, JointParameter, Parameter, Robot, save_robot
+from schemas.robot import Identified, Robot, save_robot
 from service.model import kinematics
 from service.model.nominal import pack
 from service.supervisor import Process, Supervisor

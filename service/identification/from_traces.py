@@ -10,8 +10,9 @@ import numpy as np
 
 from schemas.axes_description import Description
 from schemas.errors import DataError
+from schemas.fitted import JointParameter
 from schemas.joints_description import Machine
-from schemas.robot import JointParameter, Robot
+from schemas.robot import Robot
 from service.identification import checks, paper_method, pooled
 from service.identification.angle_unit import refuse_wrong_angles
 from service.identification.held import told_of_held

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any
 
 import numpy as np
 
 from schemas.axes_description import Axes, AxesIdentified, Description
 from schemas.chain_description import Chain, ChainIdentified
 from schemas.errors import RobotError
+from schemas.fitted import Fitted, JointParameter, Parameter
 from schemas.joints_description import Machine
-from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Robot
+from schemas.robot import EffectEntry, EffectParameter, Identified, Robot
 from service.model.effects import by_name, catalogue
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
@@ -99,14 +99,18 @@ def base_of(robot: Description) -> Base:
     if isinstance(robot, Machine):
         return _base_of_machine(robot)
     identified = robot.identified or Identified()
-    rigid = [identified.rho_1.value, identified.rho_2.value, identified.forearm_inertia_kg.value]
-    return Base(
-        np.array(rigid),
-        np.array(identified.viscous_friction_nms.value),
-        np.array(identified.coulomb_friction_nm.value),
-        identified.friction_transition_radps,
-        identified.torque_timing_s,
+    base = _base(mechanism_of(robot), identified.figures, identified.friction_transition_radps)
+    return replace(base, timing=identified.torque_timing_s)
+
+
+def _base(mechanism: Mechanism, figures: dict[str, Parameter], transition: float | np.ndarray) -> Base:
+    """Of `figures` by name; one that is not there is zero."""
+    values = {name: figure.value for name, figure in figures.items()}
+    rigid, viscous, coulomb = (
+        np.array([values.get(f"{kind}{name}", 0.0) for name in names])
+        for kind, names in (("", mechanism.coefficients), ("f_v_", mechanism.frictions), ("f_c_", mechanism.frictions))
     )
+    return Base(rigid, viscous, coulomb, transition)
 
 
 def _base_of_machine(machine: Axes | Chain) -> Base:
@@ -114,65 +118,40 @@ def _base_of_machine(machine: Axes | Chain) -> Base:
     if known is None:
         zero = np.zeros(len(mechanism.frictions))
         return Base(mechanism.start, zero, zero)
-    shared = machine.shared_motors
-
-    def with_motors(values: JointParameter, motors: JointParameter | None) -> np.ndarray:
-        return np.array(values.value + [0.0 if motors is None else motors.value[number] for number in shared])
-
     transition = known.friction_transition
     if isinstance(transition, list) and len(transition) != len(mechanism.frictions):
         raise RobotError(
             f"robot {machine.name}: identified.friction_transition has {len(transition)} values, one or "
             f"{len(mechanism.frictions)} are needed: {', '.join(mechanism.frictions)}"
         )
-    return Base(
-        _rigid(machine, mechanism),
-        with_motors(known.viscous_friction, known.motor_viscous_friction),
-        with_motors(known.coulomb_friction, known.motor_coulomb_friction),
-        np.array(transition) if isinstance(transition, list) else transition,
-        known.torque_timing_s,
+    if isinstance(machine, Chain):
+        _check_rigid(machine, mechanism)
+    return replace(
+        _base(mechanism, known.figures, np.array(transition) if isinstance(transition, list) else transition),
+        timing=known.torque_timing_s,
         band_hz=np.inf if known.torque_band_hz is None else known.torque_band_hz,
     )
 
 
-def _rigid(machine: Axes | Chain, mechanism: Mechanism) -> np.ndarray:
-    """(k,) coefficients of a description that has them."""
-    if isinstance(machine, Chain):
-        found = {} if machine.identified is None else machine.identified.rigid
-        for name in mechanism.coefficients:
-            if name not in found:
-                raise RobotError(f"robot {machine.name}: identified.rigid: {name!r} is missing")
-        for name in found:
-            if name not in mechanism.coefficients and machine.masses == "identified":
-                raise RobotError(
-                    f"robot {machine.name}: identified.rigid: {name!r} is not a parameter of {machine.urdf}"
-                )
-        return np.array([found[name].value for name in mechanism.coefficients])
-    known = machine.identified
-    assert known is not None
-    groups = {
-        "inertia": known.inertia, "offset": known.offset, "gravity_sin": known.gravity_sin,
-        "gravity_cos": known.gravity_cos, "inertia_motor": known.motor_inertia,
-    }  # fmt: skip
-    values = []
+def _check_rigid(chain: Chain, mechanism: Mechanism) -> None:
+    """
+    Raises:
+        RobotError: a coefficient of the arm is missing or none of its.
+    """
+    found = {} if chain.identified is None else chain.identified.rigid
     for name in mechanism.coefficients:
-        group, _, number = name.rpartition("_")
-        of_joints = groups[group]
-        values.append(0.0 if of_joints is None else of_joints.value[int(number) - 1])
-    return np.array(values)
+        if name not in found:
+            raise RobotError(f"robot {chain.name}: identified.rigid: {name!r} is missing")
+    for name in found:
+        if name not in mechanism.coefficients and chain.masses == "identified":
+            raise RobotError(f"robot {chain.name}: identified.rigid: {name!r} is not a parameter of {chain.urdf}")
 
 
 def base_errors(robot: Description) -> np.ndarray:
     """(P,) standard errors of the base parameters that a description carries, as in `base_parameters`; 0: not known."""
-    if robot.identified is None:
-        return np.zeros(len(base_parameters(mechanism_of(robot))))
-    known = robot.identified.model_dump()
-    for figure in (*known.values(), *known.get("rigid", {}).values()):
-        if isinstance(figure, dict) and "value" in figure:
-            value, error = figure["value"], figure["std_error"]
-            figure["value"] = (error or [0.0] * len(value)) if isinstance(value, list) else error
-    base = base_of(robot.model_copy(update={"identified": type(robot.identified).model_validate(known)}))
-    return np.concatenate([base.rigid, base.viscous, base.coulomb])
+    known = {} if robot.identified is None else robot.identified.figures
+    names = [parameter.name for parameter in base_parameters(mechanism_of(robot))]
+    return np.array([known[name].std_error if name in known else 0.0 for name in names])
 
 
 def hypothesis_of(robot: Description) -> Hypothesis:
@@ -204,49 +183,16 @@ def identified_of(
 ) -> Identified | AxesIdentified | ChainIdentified:
     """The `[identified]` section with a fitted base model. figures: name as in `base_parameters` -> value, standard
     error; what a coefficient does not stand for on a joint is zero."""
-    told = verdicts or {}
-
-    def one(name: str) -> dict[str, Any]:
-        value, error = figures[name]
-        return {"value": digits(value), "std_error": digits(error), "verdict": told.get(name, "identifiable")}
-
-    def joints(name: str) -> dict[str, Any] | None:
-        keys = [name.format(number) for number in range(1, robot.count + 1)]
-        if not any(key in figures for key in keys):
-            return None
-        values, errors = ([figures.get(key, (0.0, 0.0))[part] for key in keys] for part in (0, 1))
-        said = [told.get(key, "identifiable") for key in keys] if verdicts else []
-        return {"value": _digits(values), "std_error": _digits(errors), "verdict": said}
-
-    timing = {"torque_timing_s": digits(base.timing)}
-    if isinstance(robot, Robot):
-        return Identified.model_validate(
-            {name: one(name) for name in ("rho_1", "rho_2", "forearm_inertia_kg")}
-            | {"viscous_friction_nms": joints("f_v_{}"), "coulomb_friction_nm": joints("f_c_{}")}
-            | {"friction_transition_radps": digits(float(base.transition))}
-            | timing
-        )
     transition = base.transition
-    band = {"torque_band_hz": digits(base.band_hz)} if np.isfinite(base.band_hz) else {}
-    friction = (
-        timing
-        | band
-        | {
-            "viscous_friction": joints("f_v_{}"),
-            "coulomb_friction": joints("f_c_{}"),
-            "motor_viscous_friction": joints("f_v_motor_{}"),
-            "motor_coulomb_friction": joints("f_c_motor_{}"),
-            "friction_transition": _digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
-        }
+    fitted = Fitted(
+        count=robot.count,
+        figures={name: (digits(value), digits(error)) for name, (value, error) in figures.items()},
+        verdicts=verdicts or {},
+        transition=_digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
+        timing_s=digits(base.timing),
+        band_hz=digits(base.band_hz) if np.isfinite(base.band_hz) else None,
     )
-    if isinstance(robot, Chain):
-        given = {} if robot.identified is None or robot.masses == "identified" else robot.identified.rigid
-        rigid = {name: one(name) for name in figures if not name.startswith(("f_v_", "f_c_"))}
-        return ChainIdentified.model_validate({"rigid": given | rigid} | friction)
-    names = {"motor_inertia": "inertia_motor_{}"} | {
-        name: f"{name}_{{}}" for name in ("inertia", "offset", "gravity_sin", "gravity_cos")
-    }
-    return AxesIdentified.model_validate({key: joints(name) for key, name in names.items()} | friction)
+    return robot.identified_as(fitted)
 
 
 def _digits(values: np.ndarray | list[float]) -> list[float]:

@@ -8,16 +8,8 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import RobotError, StorageError
-from schemas.robot import (
-    EffectEntry,
-    EffectParameter,
-    Identified,
-    JointParameter,
-    Parameter,
-    Robot,
-    load_robot,
-    save_robot,
-)
+from schemas.fitted import JointParameter, Parameter
+from schemas.robot import EffectEntry, EffectParameter, Identified, Robot, load_robot, save_robot
 
 TEXT = """# line 3, cell B
 name = "d3-1200" # as on the type plate

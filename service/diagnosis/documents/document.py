@@ -25,7 +25,8 @@ from schemas.diagnosis import (
     Ranked,
     Rival,
 )
-from schemas.robot import JointParameter, Robot
+from schemas.fitted import JointParameter
+from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.located import located

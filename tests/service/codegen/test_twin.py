@@ -9,7 +9,8 @@ import pytest
 
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
-from schemas.robot import SHIPPED, FourthAxis, JointParameter, load_robot
+from schemas.fitted import JointParameter
+from schemas.robot import SHIPPED, FourthAxis, load_robot
 from service.estimator.estimator import Estimator
 from service.model.effects import CATALOGUE
 from tests.known import PERIOD, make, robot

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from schemas.robot import Identified, Parameter
+from schemas.fitted import Parameter
+from schemas.robot import Identified
 from service.diagnosis.documents import document
 from service.diagnosis.evidence.rivals import ModelComparison
 from service.diagnosis.fit.selection import Standing

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from schemas.errors import RobotError
-from schemas.robot import EffectEntry, EffectParameter, JointParameter
+from schemas.fitted import JointParameter
+from schemas.robot import EffectEntry, EffectParameter
 from service.estimator.estimator import Estimator
 from service.estimator.named_effects import carried, pack_effects
 from service.model.description import terms_of

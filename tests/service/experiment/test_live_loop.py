@@ -22,18 +22,9 @@ from drivers.simulated.plant.effects.two_mass_effects import JointElasticity
 from drivers.simulated.plant.plant import Plant
 from drivers.simulated.plant.plant_on_bus import STALE_CYCLES, FeedforwardIntake, LiveRun
 from drivers.simulated.plant.truth import PlantTruth
+from schemas.fitted import JointParameter, Parameter
 from schemas.messages import FEEDFORWARD
-from schemas.robot import (
-    EffectEntry,
-    EffectParameter,
-    Geometry,
-    Identified,
-    JointParameter,
-    Mass,
-    Parameter,
-    Robot,
-    save_robot,
-)
+from schemas.robot import EffectEntry, EffectParameter, Geometry, Identified, Mass, Robot, save_robot
 from service.experiment.live_loop import (
     CORRECTED,
     FEEDBACK,

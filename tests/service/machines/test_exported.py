@@ -15,7 +15,7 @@ import pytest
 from schemas.axes_description import Axes, load_axes
 from schemas.chain_description import Chain, ChainIdentified
 from schemas.errors import RobotError
-from schemas.robot import JointParameter, Parameter
+from schemas.fitted import JointParameter, Parameter
 from service.cli.machine_files import write_machine
 from service.machines.consistent import bodies_near
 from service.model.arm import pseudo_inertia

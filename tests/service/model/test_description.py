@@ -12,7 +12,8 @@ import pytest
 from schemas.axes_description import Axes, AxesIdentified, Description, load_axes
 from schemas.chain_description import Chain, ChainIdentified
 from schemas.errors import RobotError
-from schemas.robot import EffectEntry, EffectParameter, JointParameter, Parameter, Robot
+from schemas.fitted import JointParameter, Parameter
+from schemas.robot import EffectEntry, EffectParameter, Robot
 from service.model.arm import A_LINK
 from service.model.description import (
     base_errors,

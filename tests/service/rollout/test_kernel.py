@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Parameter, Robot
+from schemas.fitted import JointParameter, Parameter
+from schemas.robot import EffectEntry, EffectParameter, Identified, Robot
 from service.model import kinematics
 from service.model.dynamics import torque_terms
 from service.model.forward import forward_dynamics

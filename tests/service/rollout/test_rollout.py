@@ -15,7 +15,8 @@ from drivers.data_frames import pl
 from drivers.trace import read_trace
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError
-from schemas.robot import JointParameter, Robot, save_robot
+from schemas.fitted import JointParameter
+from schemas.robot import Robot, save_robot
 from service.cli.main import app
 from service.rollout.gap import PLAIN, Rollout, check_sign, cut_up, plain, rollout
 from service.rollout.rollout_page import document, sentences

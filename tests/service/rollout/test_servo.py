@@ -11,8 +11,9 @@ from drivers.motion import MotionLimits, Payload, Planner
 from drivers.simulated.plant.plant import Plant
 from drivers.simulated.plant.plant_trace import simulate
 from schemas.errors import DataError
+from schemas.fitted import JointParameter
 from schemas.messages import Gripper, SampleFlag
-from schemas.robot import JointParameter, Robot, Servo
+from schemas.robot import Robot, Servo
 from schemas.trace import Trace
 from service.rollout.gap import PLAIN, cut_up, plain, rollout, run
 from service.rollout.kernel import Drives, Runs

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.simulated.plant.effects import friction
-from schemas.robot import Identified, JointParameter, Parameter, Robot
+from schemas.fitted import JointParameter, Parameter
+from schemas.robot import Identified, Robot
 from schemas.trace import Trace
 from tests.service.injected import rubbing
 from tests.service.world import BASE, COULOMB, ROBOT, TRANSITION, VISCOUS, Course, course

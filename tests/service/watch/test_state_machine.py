@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from schemas.fitted import JointParameter
 from schemas.messages import GAP, NANOSECONDS, PAYLOAD, Gripper, WatchState, set_stamp, stamp_ns
-from schemas.robot import JointParameter
 from schemas.trace import Trace
 from service.watch.state_machine import FALLEN, RISEN, Patience, Rise, Watch
 from service.watch.watch_node import beyond_description
