@@ -163,6 +163,25 @@ def covariance_kernel(state, one, other):
 
 
 @kernel
+def doubt_kernel(state, prior, drag):
+    """Variance of a sum that friction enters with `drag`, and the part of it that comes of a departure of which nothing
+    is learnt yet; the rest is the error of what was learnt. drag, prior: (COUNT,).
+
+    With the covariance P, the prior's P0 and the information I = inverse(P) - inverse(P0), the error of delta is
+    -P inverse(P0) delta of the true one and P times the noise of what was seen: P = P inverse(P0) P + P I P.
+    """
+    whole = unlearnt = 0.0
+    for a in range(COUNT):
+        pulled = 0.0
+        for b in range(COUNT):
+            pulled += state.covariance[a, b] * drag[b]
+        whole += drag[a] * pulled
+        beyond = pulled / prior[a]
+        unlearnt += beyond * beyond
+    return whole, min(whole, unlearnt)
+
+
+@kernel
 def learn_kernel(state, prior, forgetting, inflation):
     """Take the block, whose residuals scatter `inflation` times as much as their weights say. prior: (COUNT,)."""
     state.since += 1

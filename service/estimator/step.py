@@ -196,6 +196,7 @@ def _read_out(settings, state, index, past, since):
     after the last. Returns whether the reports that tell it are there."""
     state.by_command = 0
     commanded = past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque)
+    state.payload.commanded = 1 if commanded else 0
     if settings.readout.active == 0:
         drive = past.torque_command if commanded else past.acting
         for i in range(3):  # no drive follows here: what acts is what is reported
@@ -212,6 +213,7 @@ def _read_out(settings, state, index, past, since):
             command[i] = state.acting[i]
         _compare_behind(settings, state, since if whole and there else np.int64(0))
         commanded = there and is_used(settings.drive_torque, state.drive_torque)
+        state.payload.commanded = 1 if commanded else 0
         if commanded:
             state.by_command = 1
             return True
@@ -264,6 +266,7 @@ def _tell(settings, state, loose, since):
     if settings.readout.lag > 0.0 and state.by_command == 0:
         _tell_as_reported(settings, state, since * settings.period if weighed.behind != 0 else 0.0)
         weighed.behind = 1
+        weighed.commanded = 0
     else:
         weighed.behind = 0
     for i in range(3):

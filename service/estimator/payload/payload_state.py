@@ -132,6 +132,7 @@ STATE = np.dtype(
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
         ("resting", "i8"),  # whether nothing moves in this sample
         ("behind", "i8"),  # whether it is told behind a low-pass of the report
+        ("commanded", "i8"),  # whether it is told by a command, without the noise of a report
         ("still", "f8"),  # s, without motion that tells the mass
         ("unheard", "i8"),  # whether a gripper that nobody hears of may have worked in a rest since
         ("untold", "f8"),  # s of motion that it takes until the mass is known again

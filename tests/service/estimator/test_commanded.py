@@ -172,3 +172,25 @@ def test_a_command_is_refuted_by_what_lasts(size, memory):
     first = count[np.abs(size) * (1 - keep**count) > commanded.REFUTATION**0.5 * spread][0]
     said = [refuted for refuted, _ in taken([0.0] * 250 + [size] * 1999)]
     assert np.flatnonzero(said).tolist() == [249 + first]
+
+
+@pytest.mark.parametrize("effect", [None, *BEHIND])
+def test_a_mass_says_whether_it_is_told_by_a_command(told, known, effect):
+    robot, samples = (told, known.samples.copy()) if effect is None else behind(told, known, effect)
+    samples["torque_command"] = known.torque
+    estimator = Estimator(robot, PERIOD)
+    estimator.run(samples[:2000])
+    assert estimator.state["payload"]["commanded"] == 1
+    samples["torque_command"] = np.nan
+    estimator.run(samples[2000:2100])
+    assert estimator.state["payload"]["commanded"] == 0
+
+
+def test_a_mass_behind_a_filtered_report_is_told_by_the_report_whatever_the_command(told, known):
+    robot, samples = behind(told, known, "torque_filter")
+    robot = robot.model_copy(update={"identified": told.identified})
+    samples["torque_command"] = lagging(known.torque, 50.0, PERIOD)
+    estimator = Estimator(robot, PERIOD)
+    estimator.run(samples[:2000])
+    assert estimator.state["drive_torque"]["refuted"] == 0
+    assert (estimator.state["payload"]["behind"], estimator.state["payload"]["commanded"]) == (1, 0)

@@ -123,6 +123,25 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     assert departure.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
 
 
+def test_a_doubt_is_what_was_not_learnt_and_the_error_of_what_was():
+    """Masses weighed on gears drawn at random, each learnt of by samples drawn at random."""
+    random, state = np.random.default_rng(5), np.zeros(1, departure.STATE)[0]
+    rows, does = random.standard_normal((6, COUNT)) / PRIOR, random.standard_normal(COUNT)
+    learnt = np.linalg.inv(rows.T @ rows + np.diag(PRIOR**-2))
+    true, noise = PRIOR * random.standard_normal((100_000, COUNT)), random.standard_normal((100_000, 6))
+    missed, taught = (true @ rows.T @ rows @ learnt - true) @ does, noise @ rows @ learnt @ does
+    state["covariance"] = learnt
+    whole, unlearnt = departure.doubt_kernel(state, PRIOR, does)
+    assert whole == pytest.approx(does @ learnt @ does)
+    assert unlearnt == pytest.approx(np.var(missed), rel=0.02)
+    assert whole - unlearnt == pytest.approx(np.var(taught), rel=0.02)
+    state["covariance"] = np.diag(PRIOR**2)
+    assert departure.doubt_kernel(state, PRIOR, does) == pytest.approx((np.sum((PRIOR * does) ** 2),) * 2)
+    state["covariance"] = 4.0 * np.diag(PRIOR**2)
+    whole, unlearnt = departure.doubt_kernel(state, PRIOR, does)
+    assert unlearnt == whole, "no more than all of it"
+
+
 def test_noise_of_the_acceleration_makes_no_friction_of_a_load():
     """In slow motion, all one way, the torque of a load is what friction along it would be: nothing is to be learnt."""
     random, states = np.random.default_rng(5), np.zeros(1, departure.STATE)

@@ -38,11 +38,20 @@ def told(state, times=1):
 @pytest.mark.parametrize("active", [1, LOADS])
 @pytest.mark.parametrize("worse", [1.0, 2.0], ids=["as ever", "no longer fits"])
 @pytest.mark.parametrize("excess", [0.9, 0.0])
-def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, excess):
-    random, state = np.random.default_rng(1), believing(2.0, 0.02, hidden=0.03**2, inflation=1.25, measured=0.5)
+@pytest.mark.parametrize(
+    ("noise", "fields"),
+    [
+        (0.5, {"measured": 0.5}),
+        (0.75, {"measured": 0.5, "commanded": 1}),
+        (1.25, {"measured": 0.9, "commanded": 1}),
+    ],
+    ids=["reported", "commanded", "commanded, no more than what trust reckons with"],
+)
+def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, excess, noise, fields):
+    random, state = np.random.default_rng(1), believing(2.0, 0.02, hidden=0.03**2, inflation=1.25, **fields)
     columns = 3.0 * random.standard_normal((60, active))
     information, drag = columns.T @ columns, columns.T @ random.standard_normal((60, COUNT))
-    root = 0.05 * random.standard_normal((COUNT, COUNT))
+    root = 0.1 * DRIFT[:, None] * random.standard_normal((COUNT, COUNT))
     state["active"], state["departure"]["covariance"], state["departure"]["delta"] = active, root @ root.T, root[0]
     state["information"][:active, :active], state["drag"][:active] = information, drag
     state["moment"][:active] = information @ np.array([2.0, 0.03, -0.02])[:active] + drag @ root[0]
@@ -51,12 +60,15 @@ def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, exces
     assert told(state) == NONE
     inverse = np.linalg.inv(information)
     bias = verdict.BIAS_SHARE**2 * (SETTINGS["model_error"] + max(excess / 0.6, 0.25 / COLOUR)) * 0.6 / 400.0
-    doubt = inverse[0] @ drag @ root
+    does = inverse[0] @ drag
+    doubt = does @ root
     assert state["mass"] == pytest.approx(2.0)
     assert state["bias"] == pytest.approx(bias)
     square = worse * inverse[0, 0] + doubt @ doubt + bias + 0.03**2 + (TORQUE_SHARE * 2.0) ** 2
     assert state["std_dev"] ** 2 == pytest.approx(square)
-    scattered = worse * inverse[0, 0] * 0.5 / 1.25 + verdict.SCATTERED_SHARE * (doubt @ doubt + bias) + 0.03**2
+    unlearnt = np.sum(np.square(root @ root.T @ does / DRIFT))
+    assert 0.02 * doubt @ doubt < unlearnt < 0.98 * doubt @ doubt
+    scattered = worse * inverse[0, 0] * noise / 1.25 + unlearnt + 0.03**2
     assert state["random_std_dev"] ** 2 == pytest.approx(scattered), "by the noise that is measured"
     assert state["common_std_dev"] == pytest.approx(TORQUE_SHARE * 2.0)
     state["leverage"] = 0.0
