@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.diagnosis.fit.selection import Z95, Scored, Selection, worth, z_score
+from service.diagnosis.fit.wide import Wide
 from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Fit, Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
@@ -128,15 +129,15 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
     """The hypothesis for each fold that is chosen without it.
 
     The search is walked again among the hypotheses that were fitted, weighing them by folds that are neither this one
-    nor in training, and the fold is predicted by the one chosen without it: where the walk ends, or the model chosen on
-    all data if the other folds prefer that.
+    nor in training, given the discrepancies that are open, and the fold is predicted by the one chosen without it:
+    where the walk ends, or the model chosen on all data if the other folds prefer that.
     """
     result: list[Scored] = []
     known: dict[int, np.ndarray] = {}
 
     def inner_of(scored: Scored) -> np.ndarray:
         if id(scored) not in known:
-            known[id(scored)] = _inner(scored, split)
+            known[id(scored)] = _inner(scored, split, selection.noise)
         return known[id(scored)][fold]
 
     for fold in range(split.folds):
@@ -163,10 +164,12 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
     return result
 
 
-def _inner(scored: Scored, split: Split) -> np.ndarray:
+def _inner(scored: Scored, split: Split, noise: Correlated) -> np.ndarray:
     """(folds, blocks) losses of a fitted hypothesis with a fold each neither trained on nor counted, every other one
-    left out in turn."""
-    fitted, moving = scored.fitted, scored.fitted.moving
+    left out in turn. noise: whose discrepancies are fitted with it."""
+    columns = noise.columns or [np.zeros((len(residual), 0)) for residual in scored.residuals]
+    wide = Wide.of(scored.fitted, columns, noise.prior)
+    fitted, moving = wide.fit, wide.fit.moving
     grams, moments = normal_equations(moving, fitted.residuals, split)
     result = []
     for out in range(split.folds):
@@ -176,7 +179,7 @@ def _inner(scored: Scored, split: Split) -> np.ndarray:
             if fold == out or not train:
                 continue
             gram, moment = (np.asarray(sum(one[k] for k in train)) for one in (grams, moments))
-            step = fitted.step(gram, moment)
+            step = fitted.step(gram + wide.prior, moment)
             for residual, slope, f in zip(residuals, moving, split.fold, strict=True):
                 residual[f == fold] -= slope[f == fold] @ step
         for residual, f in zip(residuals, split.fold, strict=True):

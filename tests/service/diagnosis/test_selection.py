@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.identification.correlated import Correlated
 from tests.service.diagnosis.toy import left_out, scored, split_of
 from tests.service.injected import INJECTED, reports
 from tests.service.subject import (
@@ -99,13 +100,17 @@ def test_held_out_residuals_are_those_of_refits():
     assert found.loss == pytest.approx(sum(squares))
 
 
-def test_inner_losses_leave_a_fold_out_of_everything():
+@pytest.mark.parametrize("opened", [0, 2])
+def test_inner_losses_leave_a_fold_out_of_everything(opened):
+    """Given discrepancies, too."""
     random = RANDOM(2)
     columns = [random.standard_normal((50, 4)) for _ in range(4)]
-    target = [random.standard_normal(50) for _ in range(4)]
+    beside = [random.standard_normal((50, opened)) for _ in range(4)]
+    target = [random.standard_normal(50) + 3.0 * mine.sum(axis=1) for mine in beside]
     split = split_of(4, 50, 5)
-    found = statistics._inner(scored(columns, target, split), split)[2]
-    truth = left_out(columns, target, (2,))
+    noise = Correlated(beside, np.full(opened, 1e-12))
+    found = statistics._inner(scored(columns, target, split), split, noise)[2]
+    truth = left_out([np.hstack(parts) for parts in zip(columns, beside, strict=True)], target, (2,))
     truth[2] = np.zeros(50)
     np.testing.assert_allclose(found, selection.block_loss(truth, split), atol=1e-9)
 

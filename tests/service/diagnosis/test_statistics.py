@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from service.identification.correlated import Correlated
 from tests.service.diagnosis.toy import named, scored, split_of
 from tests.service.injected import INJECTED, reports
 from tests.service.subject import (
@@ -143,6 +144,19 @@ def walk(seed: int, candidates: int, true: float) -> Search:
     nested = nested_of(found, split)
     assert [len(r) for r in nested] == [60] * 4
     return Search(best.loss / none.loss, float(sum(r @ r for r in nested)) / none.loss)
+
+
+def test_what_is_accepted_given_a_discrepancy_is_chosen_again_given_it():
+    """Its share of all that is left is small: what the discrepancy explains hides it."""
+    random, split = np.random.default_rng(1), split_of(4, 60, 6)
+    base, mine, beside = ([random.standard_normal((60, 1)) for _ in range(4)] for _ in range(3))
+    target = [random.standard_normal(60) + 2.0 * m[:, 0] + 20.0 * z[:, 0] for m, z in zip(mine, beside, strict=True)]
+    none = scored(base, target, split)
+    more = scored([np.hstack(parts) for parts in zip(base, mine, strict=True)], target, split, "effect")
+    hidden = Selection(none, more, [([more], more)], {})
+    given = replace(hidden, noise=Correlated(beside, np.full(1, 1e-3)))
+    chosen = [statistics.walked(found, split, rows(split)) for found in (hidden, given)]
+    assert [[one is more for one in each] for each in chosen] == [[False] * 4, [True] * 4]
 
 
 def test_nested_residuals_are_out_of_selection():
