@@ -112,22 +112,27 @@ class Problem:
     def of_joint(self, index: int, joint: int, values: np.ndarray) -> np.ndarray:
         """Rows of `joint` that count, of its (M, ...) on recording `index`, in units of the noise, as they weigh."""
         rows = self.rows[index][:, joint]
+        return self._in_units(index, joint, rows, values[rows])
+
+    def _in_units(self, index: int, joint: int, rows: np.ndarray, picked: np.ndarray) -> np.ndarray:
         unit = self.sigma[joint] / (self.weights[index][rows, joint] if self.weights else np.ones(1))
-        result = values[rows]
-        result /= unit.reshape(-1, *([1] * (values.ndim - 1)))
-        return result
+        picked /= unit.reshape(-1, *([1] * (picked.ndim - 1)))
+        return picked
 
     def select(self, index: int, *parts: np.ndarray) -> np.ndarray:
         """The same of (M, n) or of (M, n, F) side by side, joint after joint."""
         count, widths = np.count_nonzero(self.rows[index]), [part.shape[2:] for part in parts]
         result = np.empty((count, *map(sum, zip(*widths, strict=True))))
-        end = 0
-        for joint in range(len(self.sigma)):
-            start, end, right = end, end + np.count_nonzero(self.rows[index][:, joint]), 0
-            for part in parts:
-                left, right = right, right + (part.shape[2] if part.ndim > 2 else 0)
-                place = (slice(start, end), slice(left, right)) if part.ndim > 2 else slice(start, end)
-                result[place] = self.of_joint(index, joint, part[:, joint])
+        end, joints = 0, len(self.sigma)
+        every = [part.reshape(-1, *part.shape[2:]) for part in parts]  # whole rows are taken in half the time
+        for joint in range(joints):
+            rows = self.rows[index][:, joint]
+            at = np.flatnonzero(rows) * joints + joint
+            start, end, right = end, end + len(at), 0
+            for part in every:
+                left, right = right, right + (part.shape[1] if part.ndim > 1 else 0)
+                place = (slice(start, end), slice(left, right)) if part.ndim > 1 else slice(start, end)
+                result[place] = self._in_units(index, joint, rows, part.take(at, axis=0))
         return result
 
 
