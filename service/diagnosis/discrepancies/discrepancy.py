@@ -44,9 +44,10 @@ class Seen:
 @dataclass(frozen=True)
 class Process:
     """A discrepancy on these logs. joint: from 0; None of one that acts at the platform. columns: (R, K) a recording,
-    torque in the band, in units of the noise, for weights of standard deviation 1. place: (M, d) a recording, SI, that
-    it depends on; values: (M, K') a recording, of a weight of 1: N m of the joint, or N of each component of a force.
-    Both empty where there is no place to tell. pitch: m of the platform's path, after which it repeats."""
+    of one on a joint only the rows of that, torque in the band, in units of the noise, for weights of standard
+    deviation 1. place: (M, d) a recording, SI, that it depends on; values: (M, K') a recording, of a weight of 1: N m
+    of the joint, or N of each component of a force. Both empty where there is no place to tell. pitch: m of the
+    platform's path, after which it repeats."""
 
     discrepancy: Discrepancy
     joint: int | None
@@ -75,8 +76,9 @@ class Discrepancy(ABC):
     def on(self, seen: Seen, joint: int, torque: Iterable[np.ndarray], place: Sequence[np.ndarray] = (),
            values: Sequence[np.ndarray] = ()) -> Process:  # fmt: skip
         """The process of (N, K) N m a recording on one joint."""
-        columns = [_of_joint(seen.problem, n, joint, t) for n, t in enumerate(torque)]
-        return Process(self, joint, columns, _thinned(seen.problem, place), _thinned(seen.problem, values))
+        problem = seen.problem
+        columns = [_single(problem.of_joint(n, joint, problem.band(t))) for n, t in enumerate(torque)]
+        return Process(self, joint, columns, _thinned(problem, place), _thinned(problem, values))
 
     def at_platform(self, seen: Seen, torque: Iterable[Iterable[np.ndarray]], place: Sequence[np.ndarray] = (),
                     values: Sequence[np.ndarray] = (), pitch: float | None = None) -> Process:  # fmt: skip
@@ -92,14 +94,6 @@ class Discrepancy(ABC):
 def _thinned(problem: Problem, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Every sample of (N, ...) a recording that the band keeps."""
     return [part[:: problem.band.step].copy() for part in parts]
-
-
-def _of_joint(problem: Problem, number: int, joint: int, torque: np.ndarray) -> np.ndarray:
-    """(R, K) of torque (N, K) on one joint and none on the others."""
-    joints = problem.joints_of_rows[number]
-    rows = np.zeros((len(joints), torque.shape[1]))
-    rows[joints == joint] = problem.of_joint(number, joint, problem.band(torque))
-    return _single(rows)
 
 
 def _single(rows: np.ndarray) -> np.ndarray:

@@ -40,10 +40,32 @@ class Tried:
     gains: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Group:
+    """Processes of one joint, or those at the platform, side by side. at: (R',) which of all rows are theirs. columns:
+    (R', C') in single precision, most of the memory that they take; products are in double precision. folds: (R',) bool
+    a fold. first: of its columns among those of all groups."""
+
+    at: np.ndarray
+    columns: np.ndarray
+    folds: list[np.ndarray]
+    first: int
+
+    @property
+    def place(self) -> slice:
+        """Of its columns among those of all groups."""
+        return slice(self.first, self.first + self.columns.shape[1])
+
+    def rows(self, fold: int) -> tuple[np.ndarray, np.ndarray]:
+        """Of a fold: which of all they are, and the columns there."""
+        mine = self.folds[fold]
+        return self.at[mine], self.columns[mine].astype(float)
+
+
 class Pool:
     """All discrepancies that there may be, as large as the noise, and their products, summed once a fold.
 
-    Columns are kept in single precision, most of the memory that they take; products are in double precision.
+    Those of one joint are kept on its rows alone: on the others they are nothing.
 
     Args:
         problem: The logs, in units of the noise.
@@ -56,28 +78,67 @@ class Pool:
         self.problem, self.split = problem, split
         seen, delta = Seen.of(problem, hypothesis, problem.sigma), problem.recordings[0].mechanism.kind == "delta"
         self.every: list[Process] = []
-        made: list[np.ndarray] = []
+        made: dict[int | None, list[np.ndarray]] = {}
         for one in DISCREPANCIES:
             if one.over is not None or not told:
                 for joint in range(len(problem.sigma)) if one.per_joint else (0,) if delta else ():
                     process = one.process(seen, joint)
-                    made.append(np.concatenate(process.columns))
+                    made.setdefault(process.joint, []).append(np.concatenate(process.columns))
                     kept = replace(process, columns=[], place=(), values=())
                     self.every.append(replace(process, columns=[]) if told else kept)
-        ends = np.cumsum([0, *(columns.shape[1] for columns in made)]).tolist()
-        self.places = {id(one): np.arange(*both) for one, both in zip(self.every, pairwise(ends), strict=True)}
-        self.rows = np.empty((len(made[0]), ends[-1]), np.float32)
-        for start, end in pairwise(ends):
-            self.rows[:, start:end] = made.pop(0)  # which frees it: all of them twice would be the most memory of all
-        fold = np.concatenate(split.fold)
+        joints, fold = np.concatenate(problem.joints_of_rows), np.concatenate(split.fold)
         self.fold = [fold == number for number in range(split.folds)]
-        self.grams = [part.T @ part for part in (self.rows[mine].astype(float) for mine in self.fold)]
+        self._group: dict[int | None, _Group] = {}
+        self.places: dict[int, np.ndarray] = {}
+        self.count = 0
+        for joint, parts in made.items():
+            at = np.flatnonzero(joints == joint) if joint is not None else np.arange(len(joints))
+            mine = [one for one in self.every if one.joint == joint]
+            ends = self.count + np.cumsum([0, *(columns.shape[1] for columns in parts)])
+            self.places |= {id(one): np.arange(*both) for one, both in zip(mine, pairwise(ends.tolist()), strict=True)}
+            columns = np.concatenate(parts, axis=1)
+            parts.clear()  # all of them twice would be the most memory of all
+            self._group[joint] = _Group(at, columns, [part[at] for part in self.fold], self.count)
+            self.count = int(ends[-1])
+        self.grams = [self._gram(number) for number in range(split.folds)]
+
+    def _gram(self, fold: int) -> np.ndarray:
+        result = np.zeros((self.count, self.count))
+        platform = self._group.get(None)
+        for group in self._group.values():
+            at, columns = group.rows(fold)
+            result[group.place, group.place] = columns.T @ columns
+            if platform is not None and group is not platform:
+                cross = platform.columns[at].T @ columns
+                result[platform.place, group.place], result[group.place, platform.place] = cross, cross.T
+        return result
+
+    def cross(self, near: np.ndarray, fold: int) -> np.ndarray:
+        """(P, C) products of columns (R, P) with all of these, on a fold."""
+        result = np.empty((near.shape[1], self.count))
+        for group in self._group.values():
+            at, columns = group.rows(fold)
+            result[:, group.place] = near[at].T @ columns
+        return result
+
+    def torque(self, together: Sequence[Process], weight: np.ndarray, fold: int) -> np.ndarray:
+        """(R,) of processes with these weights (C,) on the rows of a fold; 0 on the others."""
+        result, end = np.zeros(len(self.fold[0])), 0
+        for one in together:
+            group, places = self._group[one.joint], self.places[id(one)]
+            start, end, mine = end, end + len(places), group.folds[fold]
+            columns = group.columns[mine, places[0] - group.first : places[-1] + 1 - group.first]
+            result[group.at[mine]] += columns @ weight[start:end]
+        return result
 
     def columns(self, together: Sequence[Process]) -> list[np.ndarray]:
         """(R, C) a recording, of processes side by side."""
-        mine = self.of(together)
-        ends = np.cumsum([0, *(rows.sum() for rows in self.problem.rows)]).tolist()
-        return [self.rows[start:end, mine].astype(float) for start, end in pairwise(ends)]
+        result, end = np.zeros((len(self.fold[0]), len(self.of(together)))), 0
+        for one in together:
+            group, places = self._group[one.joint], self.places[id(one)]
+            start, end = end, end + len(places)
+            result[group.at, start:end] = group.columns[:, places - group.first]
+        return np.split(result, np.cumsum([rows.sum() for rows in self.problem.rows])[:-1])
 
     def of(self, together: Sequence[Process]) -> np.ndarray:
         """(C,) where the columns of processes are."""
@@ -91,7 +152,7 @@ class Beside:
     def __init__(self, pool: Pool, best: Scored):
         self.pool, self.best, level = pool, best, above(pool.problem, best.residuals)
         whole, rest = float(np.mean(level)), 1.0 + float(np.mean(level)) / 2.0
-        self.prior = np.zeros(pool.rows.shape[1])
+        self.prior = np.zeros(pool.count)
         self.every = []
         for one in pool.every:
             size = whole if one.joint is None else float(level[one.joint])
@@ -101,7 +162,7 @@ class Beside:
         self.own, self.residual = np.concatenate(best.fitted.moving), np.concatenate(best.fitted.residuals)
         near = np.column_stack([self.own, self.residual])
         self.near = [part.T @ part for part in (near[mine] for mine in pool.fold)]
-        self.cross = [near[mine].T @ pool.rows[mine] for mine in pool.fold]
+        self.cross = [pool.cross(near, number) for number in range(pool.split.folds)]
 
     def held_out(self, together: Sequence[Process]) -> list[np.ndarray]:
         """Residuals (R,) a recording on held-out data, given these."""
@@ -113,9 +174,10 @@ class Beside:
             moments.append(np.concatenate([near[:own, own], cross[own, mine]]))
         gram, moment = sum(grams) + np.diag(np.r_[np.zeros(own), self.prior[mine]]), sum(moments)
         left = self.residual.copy()
-        for out, without, less in zip(pool.fold, grams, moments, strict=True):
+        for number, (out, without, less) in enumerate(zip(pool.fold, grams, moments, strict=True)):
             step = solve(gram - without, moment - less)
-            left[out] -= self.own[out] @ step[:own] + pool.rows[np.ix_(out, mine)] @ step[own:]
+            left[out] -= self.own[out] @ step[:own]
+            left -= pool.torque(together, step[own:], number)
         return np.split(left, np.cumsum([len(part) for part in self.best.residuals])[:-1])
 
     def worth(self, known: Sequence[Process], every: Sequence[Process], left: Sequence[np.ndarray]) -> list[Tried]:
