@@ -55,6 +55,13 @@ class Recording:
         return self.mechanism.rigid(self.segment.theta, self.segment.theta_dot, self.segment.theta_ddot)
 
     @cached_property
+    def sliding(self) -> np.ndarray:
+        """(N, F): speed of each friction; the first are those of the joints themselves."""
+        theta_dot = self.segment.theta_dot
+        shared = self.mechanism.rows[self.mechanism.joints :]
+        return np.concatenate([theta_dot, theta_dot @ shared.T], axis=1) if len(shared) else theta_dot
+
+    @cached_property
     def arms(self) -> Arms:
         """Kinematics of the Delta."""
         return self.delta.arms(self.segment.theta, self.segment.theta_dot, self.segment.theta_ddot)
@@ -165,10 +172,10 @@ class Scene:
         """n."""
         return self.mechanism.joints
 
-    @cached_property
+    @property
     def sliding(self) -> np.ndarray:
         """(N, F): speed of each friction."""
-        return self.segment.theta_dot @ self.mechanism.rows.T
+        return self.recording.sliding
 
     @cached_property
     def friction_direction(self) -> np.ndarray:
@@ -197,7 +204,13 @@ class Scene:
     def total(self) -> np.ndarray:
         """(N, n) N m: the base model."""
         rubs = self.base.viscous * self.sliding + self.base.coulomb * self.friction_direction
-        return self.load + rubs @ self.mechanism.rows
+        return self.load + self.at_joints(rubs)
+
+    def at_joints(self, rubs: np.ndarray) -> np.ndarray:
+        """(N, n) N m: what frictions of (N, F) are together at each joint."""
+        n = self.joints
+        shared = self.mechanism.rows[n:]
+        return rubs[:, :n] + rubs[:, n:] @ shared if len(shared) else rubs
 
     def slopes(self, joint: int) -> np.ndarray:
         """(N, n, 3): of load and viscous friction with the joint's angle, speed and acceleration, N m/rad, N m s/rad,

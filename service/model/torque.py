@@ -114,9 +114,10 @@ def tangent_in_parts(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[
     torque = scene.total + own
     base, rows = hypothesis.base, scene.mechanism.rows
     wider = mean_direction(scene.sliding, 1.05 * base.transition) - scene.friction_direction
-    widening = (base.coulomb * wider / (0.05 * base.transition))[:, None] * rows.T
+    widening = base.coulomb * wider / (0.05 * base.transition)
     at_joint = [scene.friction_direction[:, None] * rows.T]
-    at_joint.append(widening if np.ndim(base.transition) else widening.sum(axis=-1, keepdims=True))
+    each = np.ndim(base.transition) > 0
+    at_joint.append(widening[:, None] * rows.T if each else scene.at_joints(widening)[..., None])
     if hypothesis.fits_timing:
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
     raw: dict[int, np.ndarray] = {}
