@@ -113,6 +113,12 @@ def test_a_delay_of_parts_of_a_sample_is_exact_on_a_cubic_and_holds_the_ends(sam
     np.testing.assert_allclose(held, 1.0)
 
 
+@pytest.mark.parametrize("period", [1e-3, float(np.nextafter(1e-3, 1.0)), float(np.nextafter(1e-3, 0.0))])
+def test_a_band_keeps_as_many_samples_whatever_the_last_digit_of_their_period(period: float) -> None:
+    assert signals.Band.of(period).step == 5
+    assert signals.Band.of(period, 125.0).step == 2
+
+
 @pytest.mark.parametrize(("period", "cutoff", "step"), [(1e-3, 40.0, 5), (2.5e-4, 40.0, 20), (1e-2, 20.0, 1)])
 def test_a_band_passes_what_its_filter_does_to_an_impulse(period: float, cutoff: float, step: int) -> None:
     band = signals.Band.of(period)
