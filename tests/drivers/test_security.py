@@ -33,10 +33,11 @@ SETTLED_S = 0.4  # what is going to arrive on loopback has arrived by then
 
 
 def free_ports() -> int:
-    """First of as many free ports as there are roles."""
-    for first in range(38000 + os.getpid() % 900 * 20, 65000, len(Role)):
+    """First of as many free ports as two hosts have roles, below those that the kernel gives to any connection."""
+    count = 2 * len(Role)
+    for first in range(12000 + os.getpid() % 800 * 25, 32768 - count, count):
         try:
-            for port in range(first, first + len(Role)):
+            for port in range(first, first + count):
                 with socket.socket() as probe:
                     probe.bind(("127.0.0.1", port))
         except OSError:
