@@ -111,11 +111,20 @@ def broke(error: BaseException) -> bool:
     return cause is not None
 
 
-def stop_requested() -> Callable[[], bool]:
-    """A question that is answered True once one of them came; for loops that must not be torn out of a step.
+def raise_swallowed() -> None:
+    """Raise once more an interrupt that came before: code that catches everything, as some libraries do while they are
+    imported, has swallowed it if this is still asked. Before a loop without an end that waits to be torn.
 
-    One that came before was raised, and code that catches everything, as some libraries do while they are imported, has
-    swallowed it if this is still asked.
+    Raises:
+        KeyboardInterrupt: there was one.
+    """
+    if _Interrupt.raised_s > 0.0:
+        raise KeyboardInterrupt
+
+
+def stop_requested() -> Callable[[], bool]:
+    """A question that is answered True once one of them came, before this was asked, too, see `raise_swallowed`; for
+    loops that must not be torn out of a step.
     """
     came: list[int] = [signal.SIGINT] if _Interrupt.raised_s > 0.0 else []
     _handle(lambda received, _: came.append(received))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
+from service.stopping import raise_swallowed
 
 
 def command(
@@ -51,6 +52,7 @@ def command(
     ):
         typer.echo(f"view of {description.name}: ws://{host}:{view.port}; Ctrl-C ends it", err=True)
         try:
+            raise_swallowed()
             run(view)
         except KeyboardInterrupt:
             typer.echo(f"view: stopped; {view.shown} messages shown", err=True)

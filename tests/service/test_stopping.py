@@ -264,6 +264,27 @@ compile_all(load_robot(ROBOT))
     assert psutil.wait_procs([beside], 10)[0]
 
 
+def test_an_interrupt_that_a_library_swallows_ends_a_replay_without_an_end(bus_folder: Path, tmp_path: Path) -> None:
+    """As code does that catches everything while it is imported."""
+    code = """
+import os, signal, sys, time
+from service.stopping import terminate_as_interrupt
+terminate_as_interrupt()
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(5.0)
+except BaseException:
+    pass
+from replay.demo import LOG, ROBOT
+sys.argv = ["deltatwin", "replay", str(LOG), "--robot", str(ROBOT), "--loop", "0", "--wait", "0"]
+from service.cli.main import main
+main()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 130, ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
 def test_a_role_ends_well_whenever_it_is_told_to(bus_folder: Path, bench_robot: Path, tmp_path: Path) -> None:
     """`tests/bench/bench_stop.py` does this hundreds of times, with all roles."""
     moments = random.Random(1)
