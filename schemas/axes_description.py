@@ -24,7 +24,7 @@ from schemas.chain_description import Chain
 from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
 from schemas.files import write_text
-from schemas.fitted import Fitted, JointParameter, Parameter, per_joint
+from schemas.fitted import Figures, Fitted, JointParameter, per_joint
 from schemas.joints_description import JointFriction, Machine
 from schemas.robot import Robot, Source, load_robot, save_robot, toml_item
 from schemas.toml import Positive, TomlTable, read_toml, validate
@@ -67,7 +67,7 @@ class AxesIdentified(JointFriction):
         return cls.model_validate({key: fitted.joints(name) for key, name in _RIGID.items()} | cls._frictions(fitted))
 
     @property
-    def figures(self) -> dict[str, Parameter]:
+    def figures(self) -> Figures:
         found = super().figures
         for key, name in _RIGID.items():
             found |= per_joint(name, getattr(self, key))

@@ -21,7 +21,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from schemas.columns import MAX_JOINTS
-from schemas.fitted import Fitted, Parameter
+from schemas.fitted import Figures, Fitted, Parameter, alone
 from schemas.joints_description import JointFriction, Machine
 from schemas.robot import Gravity
 from schemas.toml import NotNegative, Positive, Three, TomlTable
@@ -50,8 +50,8 @@ class ChainIdentified(JointFriction):
         return cls.model_validate({"rigid": {**given, **rigid}} | cls._frictions(fitted))
 
     @property
-    def figures(self) -> dict[str, Parameter]:
-        return super().figures | self.rigid
+    def figures(self) -> Figures:
+        return super().figures | alone(self.rigid)
 
 
 class Chain(Machine):

@@ -27,27 +27,33 @@ class JointParameter(TomlTable):
     verdict: list[Verdict] = []  # whether the data determine it
 
 
-def per_joint(name: str, given: JointParameter | None) -> dict[str, Parameter]:
-    """Values of the joints by name, which has {} for the number of the joint."""
+Figures = dict[str, tuple[float, float]]  # name -> value and standard error
+
+
+def per_joint(name: str, given: JointParameter | None) -> Figures:
+    """Those of the joints by name, which has {} for the number of the joint."""
     if given is None:
         return {}
     errors = given.std_error or [0.0] * len(given.value)
-    return {
-        name.format(joint): Parameter(value=value, std_error=error)
-        for joint, (value, error) in enumerate(zip(given.value, errors, strict=True), start=1)
-    }
+    both = zip(given.value, errors, strict=True)
+    return {name.format(joint): figure for joint, figure in enumerate(both, start=1)}
+
+
+def alone(given: Mapping[str, Parameter]) -> Figures:
+    """Those of parameters that are of no joint, by name."""
+    return {name: (parameter.value, parameter.std_error) for name, parameter in given.items()}
 
 
 @dataclass(frozen=True)
 class Fitted:
     """What was fitted to a machine of `count` joints, SI.
 
-    figures: name -> value and standard error. verdicts: name -> whether the data determine it, empty where nobody
-    asked. transition: one for all frictions, or one each. timing_s, band_hz: of the torque; None: no limit.
+    verdicts: name -> whether the data determine it, empty where nobody asked. transition: one for all frictions, or one
+    each. timing_s, band_hz: of the torque; None: no limit.
     """
 
     count: int
-    figures: Mapping[str, tuple[float, float]]
+    figures: Figures
     verdicts: Mapping[str, str]
     transition: float | list[float]
     timing_s: float

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from schemas.fitted import Fitted, JointParameter, Parameter, per_joint
+from schemas.fitted import Figures, Fitted, JointParameter, per_joint
 from schemas.messages import OF_JOINTS, Topics
 from schemas.robot import Described, EffectEntry, check_joints
 from schemas.toml import NotNegative, Positive, TomlTable
@@ -40,9 +40,9 @@ class JointFriction(TomlTable):
         return {"torque_timing_s": fitted.timing_s} | band | frictions | {"friction_transition": fitted.transition}
 
     @property
-    def figures(self) -> dict[str, Parameter]:
-        """Those of the base model, by name."""
-        found: dict[str, Parameter] = {}
+    def figures(self) -> Figures:
+        """Those of the base model."""
+        found: Figures = {}
         for key, name in _FRICTIONS.items():
             found |= per_joint(name, getattr(self, key))
         return found

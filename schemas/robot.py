@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PrivateA
 from schemas.columns import Columns
 from schemas.errors import RobotError
 from schemas.files import make_folder, write_text
-from schemas.fitted import Fitted, JointParameter, Parameter, per_joint
+from schemas.fitted import Figures, Fitted, JointParameter, Parameter, alone, per_joint
 from schemas.messages import OF_DELTA, Topics
 from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
 from schemas.zenoh_keys import check_robot_name
@@ -276,9 +276,9 @@ class Identified(TomlTable):
         )
 
     @property
-    def figures(self) -> dict[str, Parameter]:
-        """Those of the base model, by name."""
-        rigid = {name: getattr(self, name) for name in _RIGID}
+    def figures(self) -> Figures:
+        """Those of the base model."""
+        rigid = alone({name: getattr(self, name) for name in _RIGID})
         viscous, coulomb = self.viscous_friction_nms, self.coulomb_friction_nm
         return rigid | per_joint("f_v_{}", viscous) | per_joint("f_c_{}", coulomb)
 

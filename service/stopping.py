@@ -70,6 +70,10 @@ def _interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
 
+def _was_raised() -> bool:
+    return _Interrupt.raised_s > 0.0
+
+
 def _not_raised(unraisable: Any) -> None:
     if issubclass(unraisable.exc_type, KeyboardInterrupt):
         _raise_again()
@@ -80,7 +84,7 @@ def _not_raised(unraisable: Any) -> None:
 def _half_built(unraisable: Any) -> bool:
     """Whether it is of the end of an object that an interrupt left without what its end asks for."""
     of_an_end = getattr(unraisable.object, "__name__", None) == "__del__"
-    return _Interrupt.raised_s > 0.0 and of_an_end and issubclass(unraisable.exc_type, AttributeError)
+    return _was_raised() and of_an_end and issubclass(unraisable.exc_type, AttributeError)
 
 
 def _not_handed_on(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
@@ -118,7 +122,7 @@ def raise_swallowed() -> None:
     Raises:
         KeyboardInterrupt: there was one.
     """
-    if _Interrupt.raised_s > 0.0:
+    if _was_raised():
         raise KeyboardInterrupt
 
 
@@ -126,6 +130,6 @@ def stop_requested() -> Callable[[], bool]:
     """A question that is answered True once one of them came, before this was asked, too, see `raise_swallowed`; for
     loops that must not be torn out of a step.
     """
-    came: list[int] = [signal.SIGINT] if _Interrupt.raised_s > 0.0 else []
+    came: list[int] = [signal.SIGINT] if _was_raised() else []
     _handle(lambda received, _: came.append(received))
     return lambda: bool(came)

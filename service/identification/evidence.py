@@ -208,7 +208,7 @@ def _gram(recording: Recording, band: Band) -> np.ndarray:
     """
     segment, mechanism = recording.segment, recording.mechanism
     rigid, joints = recording.rigid, mechanism.joints
-    sliding = segment.theta_dot @ mechanism.rows.T
+    sliding = recording.sliding
     turns = np.maximum(TURNS_OVER * np.sqrt(np.mean(sliding**2, axis=0)), 1e-12)
     dry = mean_direction(sliding, turns)
     rubs = [rate[:, None, :] * mechanism.rows.T[None] for rate in (sliding, dry)]

@@ -11,7 +11,7 @@ import numpy as np
 from schemas.axes_description import Axes, AxesIdentified, Description
 from schemas.chain_description import Chain, ChainIdentified
 from schemas.errors import RobotError
-from schemas.fitted import Fitted, JointParameter, Parameter
+from schemas.fitted import Figures, Fitted, JointParameter
 from schemas.joints_description import Machine
 from schemas.robot import EffectEntry, EffectParameter, Identified, Robot
 from service.model.effects import by_name, catalogue
@@ -103,9 +103,9 @@ def base_of(robot: Description) -> Base:
     return replace(base, timing=identified.torque_timing_s)
 
 
-def _base(mechanism: Mechanism, figures: dict[str, Parameter], transition: float | np.ndarray) -> Base:
+def _base(mechanism: Mechanism, figures: Figures, transition: float | np.ndarray) -> Base:
     """Of `figures` by name; one that is not there is zero."""
-    values = {name: figure.value for name, figure in figures.items()}
+    values = {name: value for name, (value, _) in figures.items()}
     rigid, viscous, coulomb = (
         np.array([values.get(f"{kind}{name}", 0.0) for name in names])
         for kind, names in (("", mechanism.coefficients), ("f_v_", mechanism.frictions), ("f_c_", mechanism.frictions))
@@ -151,7 +151,7 @@ def base_errors(robot: Description) -> np.ndarray:
     """(P,) standard errors of the base parameters that a description carries, as in `base_parameters`; 0: not known."""
     known = {} if robot.identified is None else robot.identified.figures
     names = [parameter.name for parameter in base_parameters(mechanism_of(robot))]
-    return np.array([known[name].std_error if name in known else 0.0 for name in names])
+    return np.array([known.get(name, (0.0, 0.0))[1] for name in names])
 
 
 def hypothesis_of(robot: Description) -> Hypothesis:
@@ -179,10 +179,10 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
 
 
 def identified_of(
-    robot: Description, figures: dict[str, tuple[float, float]], base: Base, verdicts: dict[str, str] | None = None
+    robot: Description, figures: Figures, base: Base, verdicts: dict[str, str] | None = None
 ) -> Identified | AxesIdentified | ChainIdentified:
-    """The `[identified]` section with a fitted base model. figures: name as in `base_parameters` -> value, standard
-    error; what a coefficient does not stand for on a joint is zero."""
+    """The `[identified]` section with a fitted base model. figures: by name as in `base_parameters`;
+    what a coefficient does not stand for on a joint is zero."""
     transition = base.transition
     fitted = Fitted(
         count=robot.count,

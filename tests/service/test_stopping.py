@@ -264,7 +264,7 @@ compile_all(load_robot(ROBOT))
     assert psutil.wait_procs([beside], 10)[0]
 
 
-def test_an_interrupt_that_a_library_swallows_ends_a_replay_without_an_end(bus_folder: Path, tmp_path: Path) -> None:
+def test_an_interrupt_that_a_library_swallows_ends_a_replay_without_an_end(bus_folder: Path) -> None:
     """As code does that catches everything while it is imported."""
     code = """
 import os, signal, sys, time
