@@ -60,6 +60,7 @@ def test_a_robot_that_cannot_be_identified_is_a_row_that_says_why(monkeypatch: p
         (130, "", "130"),
         (-signal.SIGINT, "", "in Python's start"),
         (1, f"Fatal Python error: init_import_site{BEFORE}KeyboardInterrupt", "in Python's start"),
+        (1, f"Fatal Python error: init_sys_streams: can't initialize{BEFORE}KeyboardInterrupt", "in Python's start"),
         (1, f"{BEFORE}KeyboardInterrupt", "traceback"),
         (-signal.SIGINT, f'{BEFORE}  File "/a/service/stopping.py", line 3', "traceback"),
         (1, f'Fatal Python error: init_import_site{BEFORE}  File "/a/deltatwin/__main__.py"', "traceback"),

@@ -78,7 +78,7 @@ def how_it_ended(code: int | None, said: str, stop: signal.Signals) -> str:
         return "aborted"
     if any(word in said for word in BAD):
         own = bool(OWN.search(said))
-        starting = code == -signal.SIGINT or "init_import_site" in said  # of what other packages have run at the start
+        starting = code == -signal.SIGINT or "Fatal Python error: init_" in said  # other packages in it, too
         return "in Python's start" if starting and not own else "traceback"
     if code == -stop and not said:
         return "in Python's start"
