@@ -115,19 +115,21 @@ def broke(error: BaseException) -> bool:
     return cause is not None
 
 
-def raise_swallowed() -> None:
-    """Raise once more an interrupt that came before: code that catches everything, as some libraries do while they are
-    imported, has swallowed it if this is still asked. Before a loop without an end that waits to be torn.
+def interrupted() -> bool:
+    """False, or raises: asked in every round of a loop that an interrupt tears. Who still asks after one came has lost
+    it to code that catches everything, as some libraries do while they are imported, or C code that clears what it is
+    not told.
 
     Raises:
         KeyboardInterrupt: there was one.
     """
     if _was_raised():
         raise KeyboardInterrupt
+    return False
 
 
 def stop_requested() -> Callable[[], bool]:
-    """A question that is answered True once one of them came, before this was asked, too, see `raise_swallowed`; for
+    """A question that is answered True once one of them came, before this was asked, too, see `interrupted`; for
     loops that must not be torn out of a step.
     """
     came: list[int] = [signal.SIGINT] if _was_raised() else []

@@ -206,8 +206,14 @@ class Tap:
         self._declaration = FirstMotion(robot)
         assemble_one(self._frame)  # a frame of no bytes: the kernel is compiled before the bus is looked at
 
-    def run(self, put: Callable[[bytes], object], health: Health, count: int = 0) -> None:
-        """Publish with `put` until `count` samples are out (0: without end), a capture ends, or Ctrl-C.
+    def run(
+        self,
+        put: Callable[[bytes], object],
+        health: Health,
+        count: int = 0,
+        stopped: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Publish with `put` until `count` samples are out (0: without end), a capture ends, `stopped`, or Ctrl-C.
 
         Raises:
             BusError: the interface went down or away.
@@ -221,7 +227,7 @@ class Tap:
         self._reported.sample_ns = time.monotonic_ns()
         health.time_one(0)
         self._tell(health)  # what is called for the first time is slow
-        while not self._source.ended:
+        while not (self._source.ended or stopped()):
             got = self._source.receive(view)
             now = time.monotonic_ns()
             if got is not None:

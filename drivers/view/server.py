@@ -7,6 +7,7 @@ are passed on, evenly chosen: who looks does not see more, and what runs beside 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import foxglove
 import numpy as np
@@ -92,8 +93,8 @@ class LiveView:
         self._server.stop()
 
 
-def run(view: LiveView) -> None:
-    """Serve until interrupted."""
-    while True:
+def run(view: LiveView, stopped: Callable[[], bool]) -> None:
+    """Serve until `stopped` or Ctrl-C."""
+    while not stopped():
         time.sleep(PERIOD_S)
         view.step()

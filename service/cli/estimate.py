@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
-from service.stopping import raise_swallowed
+from service.stopping import interrupted
 
 if TYPE_CHECKING:
     from schemas.robot import Robot
@@ -57,8 +57,7 @@ def command(
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure, ros_domain) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)
         try:
-            raise_swallowed()
-            run(description, bus, standing, keeper=keeper)
+            run(description, bus, standing, interrupted, keeper)
         except KeyboardInterrupt:
             typer.echo("estimate: stopped", err=True)
 

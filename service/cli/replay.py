@@ -9,7 +9,7 @@ import typer
 
 from service.cli.options import ColumnsFrom, Insecure, RosDomain, ZenohConfig, robot_file
 from service.cli.output import in_quantiles
-from service.stopping import raise_swallowed
+from service.stopping import interrupted
 
 if TYPE_CHECKING:
     from replay.player import Played
@@ -61,8 +61,7 @@ def command(
             if not publisher.wait_until_heard(wait):
                 typer.echo(f"nobody subscribes to the samples of {description.name} yet; playing anyway", err=True)
             with Health(bus, standing) as health:
-                raise_swallowed()
-                played = play(plan, publisher.put, health, show)
+                played = play(plan, publisher.put, health, show, interrupted)
     typer.echo(summary(played, plan.period_ns))
 
 

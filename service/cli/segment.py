@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import robot_file
-from service.stopping import raise_swallowed
+from service.stopping import interrupted
 
 if TYPE_CHECKING:
     from drivers.simulated.segment.wire import Switches
@@ -67,8 +67,7 @@ def command(
         go_realtime("segment")
         print(f"segment: 3 drives of {description.name} on {interface}", file=sys.stderr, flush=True)
         try:
-            raise_swallowed()
-            serve(interface, segment, lambda: False)
+            serve(interface, segment, interrupted)
         except KeyboardInterrupt:
             pass
         finally:

@@ -12,7 +12,7 @@ from service.cli.joint_motion import simulate_joints
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 from service.cli.output import Table, console, in_quantiles, say_next, table
 from service.cli.progress import bars
-from service.stopping import raise_swallowed
+from service.stopping import interrupted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -214,8 +214,10 @@ def _live(
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         standing = go_realtime("simulate")
         with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure, ros_domain) as bus:
-            raise_swallowed()
-            run = run_live(plant, motion, bus, Pacer(), loops=loops, changes=changes, standing=standing, progress=show)
+            run = run_live(
+                plant, motion, bus, Pacer(), loops=loops, changes=changes, standing=standing, progress=show,
+                stop=lambda _: interrupted(),
+            )  # fmt: skip
     if not len(run.trace):
         return
     console().print(_joints(run))

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
-from service.stopping import raise_swallowed
+from service.stopping import interrupted
 
 
 def command(
@@ -52,8 +52,7 @@ def command(
             publisher = bus.publisher("sample")
             publisher.wait_until_heard(wait)
             with Health(bus, standing) as health:
-                raise_swallowed()
-                tap.run(publisher.put, health, count)
+                tap.run(publisher.put, health, count, interrupted)
     except KeyboardInterrupt:
         pass
     finally:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
-from service.stopping import raise_swallowed
+from service.stopping import interrupted
 
 
 def command(
@@ -52,7 +52,6 @@ def command(
     ):
         typer.echo(f"view of {description.name}: ws://{host}:{view.port}; Ctrl-C ends it", err=True)
         try:
-            raise_swallowed()
-            run(view)
+            run(view, interrupted)
         except KeyboardInterrupt:
             typer.echo(f"view: stopped; {view.shown} messages shown", err=True)

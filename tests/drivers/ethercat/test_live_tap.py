@@ -168,3 +168,14 @@ def test_a_capture_played_as_live_gives_what_converting_it_gives(data: Path, bus
 
     assert b"".join(published) == whole.tobytes()
     assert "joint 3: operation enabled" in said
+
+
+def test_a_tap_ends_with_the_last_sample_out_when_it_is_told_to_stop(data: Path, bus_folder: Path) -> None:
+    description = load_robot(Path(__file__).parent / "robots" / "own_three_drives.toml")
+    published: list[bytes] = []
+    source = FileSource(data / "captures" / "own_three_drives_4khz.pcap", wait_until, speed=20.0)
+    with open_bus(description.name, Role.TAP) as bus:
+        Tap(source, description, lambda _: None).run(published.append, Health(bus), stopped=lambda: len(published) == 7)
+
+    assert len(published) == 7
+    assert not source.ended
