@@ -63,7 +63,8 @@ class Mechanism(Protocol):
     coefficients as described, zero where they are not; they stand where the data do not tell. links: (k,) bool, those
     that are of links whose masses are described. closed: all links hang on one platform, and feel each other's gears.
     own_transitions: each friction has one of its own. unidentified: coefficients (k,) of models that need no
-    identification, by name. direct: of a mechanism with so many columns that they are made only where they are needed.
+    identification, by name. direct: of a mechanism with so many columns that they
+    are made only where they are needed, or whose joints have columns of their own.
     """
 
     @property
@@ -245,7 +246,6 @@ class DecoupledAxes(_Servos):
     weighs: tuple[int, ...] = ()
     kind = "axes"
     unidentified = MappingProxyType[str, np.ndarray]({})
-    direct = None
 
     @classmethod
     def of(cls, axes: Axes) -> DecoupledAxes:
@@ -281,6 +281,30 @@ class DecoupledAxes(_Servos):
     def as_described(self) -> Mechanism | None:
         """No masses are described."""
         return None
+
+    @property
+    def direct(self) -> Direct:
+        """Itself."""
+        return self
+
+    def torque(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
+        """(N, n) N m along (N, n) motions."""
+        return self.rigid(theta, theta_dot, theta_ddot).torque(coefficients)
+
+    def slopes(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
+        """(joint, N, n, 3): of that torque, with the angle, speed and acceleration of a joint."""
+        n, weighs = self.joints, list(self.weighs)
+        inertia, _, sine, cosine, shared = np.split(coefficients, np.cumsum([n, n, len(weighs), len(weighs)]))
+        result = np.zeros((n, len(theta), n, 3))
+        angle = theta[:, weighs]
+        result[weighs, :, weighs, 0] = (sine * np.cos(angle) - cosine * np.sin(angle)).T
+        rows = self.rows
+        result[..., 2] = ((rows.T * [*inertia, *shared]) @ rows)[:, None]
+        return result
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""

@@ -229,8 +229,8 @@ class Scene:
 
     @cached_property
     def _direct_slopes(self) -> np.ndarray | None:
-        """(joint, N, n, 3): slopes of the rigid torque. With the many coefficients of an arm `by_motion` would take
-        hundreds of megabytes."""
+        """(joint, N, n, 3): slopes of the rigid torque. With the many coefficients of an arm, or six axes with
+        theirs, `by_motion` would take hundreds of megabytes."""
         if self.mechanism.direct is None:
             return None
         motion = self.segment
