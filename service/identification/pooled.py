@@ -194,8 +194,10 @@ def _base(problem: Problem) -> solver.Fit:
     """The base model at its optimum, torque and position at two instants within a sample; but at one where that does
     less harm on data left out."""
     still = _still(problem)
-    timed, split = solver.fit(problem, replace(still.hypothesis, timed=True)), Split.fair(problem, still)
-    held, moved = (block_loss(held_out(one, split), split).sum() for one in (still, timed))
+    split = Split.fair(problem, still)
+    held = block_loss(held_out(still, split), split).sum()  # first: the next fit's tangents may take the place of these
+    timed = solver.fit(problem, replace(still.hypothesis, timed=True))
+    moved = block_loss(held_out(timed, split), split).sum()
     return still if held < HARM * moved else timed
 
 
