@@ -144,7 +144,8 @@ class Delta:
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, 3) motions."""
         terms = torque_terms(self.model, theta, theta_dot, theta_ddot)
-        return Rigid(terms[:, PLATFORM], np.stack([terms[:, INERTIA], terms[:, GRAVITY], terms[:, FOREARM]], axis=-1))
+        known = terms[:, PLATFORM].copy()  # a view would keep all terms
+        return Rigid(known, np.stack([terms[:, INERTIA], terms[:, GRAVITY], terms[:, FOREARM]], axis=-1))
 
     def grey(self, coefficients: np.ndarray) -> np.ndarray:
         """Those of M_Id, which has no forearm inertia."""
