@@ -120,11 +120,12 @@ def play(
     put: Callable[[bytes], object],
     health: Health | None,
     show: Callable[[int], object],
-    stopped: Callable[[], bool] = lambda: False,
+    ask: Callable[[], object] = lambda: None,
 ) -> Played:
-    """Send until the schedule, `stopped` or Ctrl-C ends it.
+    """Send until the schedule or Ctrl-C ends it.
 
     put: publishes one message. health: told how it goes, and why it ended. show: told how many were sent, now and then.
+    ask: called after each sample, raises KeyboardInterrupt where one was lost.
     A sample is late when it goes out after the next one was due.
     """
     total = len(schedule) * schedule.loops
@@ -133,7 +134,6 @@ def play(
     if health is not None:  # what is called for the first time is slow
         health.time_one(0)
         health.publish(published=0)
-    ended = StopReason.DONE
     try:
         for sent, late in enumerate(_send(schedule, put), start=1):
             kept[(sent - 1) % len(kept)] = late
@@ -144,11 +144,11 @@ def play(
                 health.time_one(late)
                 if health.due:
                     health.publish(published=sent, late=late_count)
-            if stopped():
-                ended = StopReason.INTERRUPTED
-                break
+            ask()
     except KeyboardInterrupt:
         ended = StopReason.INTERRUPTED
+    else:
+        ended = StopReason.DONE
     show(sent)
     if health is not None:
         health.stop(ended, published=sent, late=late_count)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class Coefficient(NamedTuple):
 
 
 class Direct(Protocol):
-    """The torque of a mechanism, and its slopes, without the columns of `rigid`."""
+    """The torque of a mechanism, and its slopes, without the slopes of each column of `rigid`."""
 
     def torque(
         self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
@@ -63,8 +63,7 @@ class Mechanism(Protocol):
     coefficients as described, zero where they are not; they stand where the data do not tell. links: (k,) bool, those
     that are of links whose masses are described. closed: all links hang on one platform, and feel each other's gears.
     own_transitions: each friction has one of its own. unidentified: coefficients (k,) of models that need no
-    identification, by name. direct: of a mechanism with so many columns that they
-    are made only where they are needed, or whose joints have columns of their own.
+    identification, by name. direct: of a mechanism whose columns are too many to take the slopes of each.
     """
 
     @property
@@ -228,6 +227,11 @@ class _Servos:
         """(F, n)."""
         return np.stack([*np.eye(self.joints), *self.shared.values()])
 
+    @property
+    def direct(self) -> Self:
+        """Itself."""
+        return self
+
     def _rotors(self, theta_ddot: np.ndarray) -> np.ndarray:
         """(N, n, F): torque per kg m^2 of what turns with each joint, and with each motor of several."""
         return np.stack([(theta_ddot @ row)[:, None] * row for row in self.rows], axis=-1)
@@ -282,11 +286,6 @@ class DecoupledAxes(_Servos):
     def as_described(self) -> Mechanism | None:
         """No masses are described."""
         return None
-
-    @property
-    def direct(self) -> Direct:
-        """Itself."""
-        return self
 
     def torque(
         self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
@@ -406,11 +405,6 @@ class SerialArm(_Servos):
     def unidentified(self) -> dict[str, np.ndarray]:
         """The masses of the URDF, without friction."""
         return {URDF: self.start}
-
-    @property
-    def direct(self) -> Direct:
-        """Itself."""
-        return self
 
     def as_described(self) -> Mechanism:
         """The same arm with the masses of its links as they are described, not asked for."""
