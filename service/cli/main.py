@@ -130,11 +130,11 @@ def main() -> None:
 
     A known error is one line on stderr and exit code 1, wrong usage 2, a bound that is missed 3, Ctrl-C 130.
     """
-    terminate_as_interrupt()
-    # Matrices here are small, and what is large has threads of its own: more would only wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
-    gc.set_threshold(YOUNG)
     try:
+        terminate_as_interrupt()
+        # Matrices here are small, and what is large has threads of its own: more would only wait for each other.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
+        gc.set_threshold(YOUNG)
         code = _outcome()
         end_at_once(code or 0)
     except KeyboardInterrupt:

@@ -57,6 +57,18 @@ main()
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_before_a_command_is_chosen_it_ends_without_a_word(how: signal.Signals) -> None:
+    done = run(f"""
+import gc, os, sys
+gc.set_threshold = lambda young: os.kill(os.getpid(), {how:d})
+sys.argv = ["deltatwin", "--version"]
+from deltatwin.__main__ import main
+main()
+""")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_while_the_interpreter_ends_it_changes_nothing(how: signal.Signals) -> None:
     """What was done was done: it ends as it would have."""
     done = run(f"""
