@@ -39,7 +39,10 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     ("how", "before"),
-    [*((how, "typer") for how in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)), (signal.SIGINT, "service.stopping")],
+    [
+        *((how, "typer") for how in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
+        *((signal.SIGINT, module) for module in ("atexit", "service.stopping")),
+    ],
 )
 def test_while_the_program_is_loaded_it_ends_without_a_word(how: signal.Signals, before: str) -> None:
     done = run(f"""
