@@ -49,7 +49,7 @@ def read_motion(path: Path, robot: Robot, planner: Planner) -> Trajectory:
     count = int((trace.time[-1] - trace.time[0]) / planner.period + 1e-6)
     time = np.minimum(trace.time[0] + np.arange(count + 1) * planner.period, trace.time[-1])
     if len(trace) < 6 or count < 2:
-        raise DataError(f"{path}: {len(trace)} rows are too few for a motion")
+        raise DataError(f"{path}: too few rows for a motion: {len(trace)}")
     motion = resampled(trace.time, trace.position, time, planner.period)
     planner.check(motion, str(path))
     return motion

@@ -13,6 +13,7 @@ gravity = false             # vertical axis of rotation, or balanced; default: a
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -28,7 +29,7 @@ from schemas.fitted import Figures, Fitted, JointParameter, per_joint
 from schemas.joints_description import JointFriction, Machine
 from schemas.robot import Robot, Source, load_robot, save_robot, toml_item
 from schemas.toml import Positive, TomlTable, read_toml, validate
-from schemas.urdf import read_urdf
+from schemas.urdf import read_urdf, turning_joints
 
 
 class Axis(TomlTable):
@@ -140,6 +141,8 @@ def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
     """
     path = Path(path)
     values = read_toml(path, RobotError)
+    if KINDS.get(str(values.get("kind"))) is Chain and isinstance(urdf := values.get("urdf"), str):
+        _ask_joints(path, urdf, values)
     machine = validate(KINDS.get(str(values.get("kind")), Axes), values, path, RobotError)
     machine._source = Source(path.parent, effects, path)
     if isinstance(machine, Chain):
@@ -147,6 +150,16 @@ def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
         if machine.payload is not None and machine.payload.frame not in machine.arm.links:
             raise RobotError(f"{path}: payload.frame: {machine.urdf} has no link {machine.payload.frame!r}")
     return machine
+
+
+def _ask_joints(path: Path, urdf: str, values: Mapping[str, object]) -> None:
+    """
+    Raises:
+        RobotError: an arm without its joints, naming those that it may have. Or its URDF is none.
+    """
+    if "joints" not in values:
+        turning = ", ".join(turning_joints(path.parent / urdf)) or "none"
+        raise RobotError(f"{path}: joints: missing key; joints of {urdf} that turn: {turning}")
 
 
 def save_description(description: Description, path: Path, template: Path | None = None) -> None:

@@ -18,6 +18,8 @@ from schemas.messages import OF_DELTA, Topics
 from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
 from schemas.zenoh_keys import check_robot_name
 
+LONGEST_M = 10.0  # of a link or a radius; a number above is one in millimetres
+
 
 def _vector(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -37,13 +39,22 @@ def _pulling(value: list[float]) -> list[float]:
 Gravity = Annotated[Three, BeforeValidator(_vector), AfterValidator(_pulling)]
 
 
+def _in_metres(value: float) -> float:
+    if value > LONGEST_M:
+        raise ValueError(f"{value:g} m: no Delta robot is that large; lengths are in metres (is it {value / 1e3:g} m?)")
+    return value
+
+
+Length = Annotated[Positive, AfterValidator(_in_metres)]
+
+
 class Geometry(TomlTable):
     """Lengths in metres, azimuths in degrees. Frame: origin at the base centre, z up, the platform works at z < 0."""
 
-    active_link_length: Positive  # m, from the joint's axis to the elbow
-    passive_link_length: Positive  # m, of a forearm, from elbow to wrist
-    base_radius: Positive  # m, from the centre of the base to the joints' axes
-    platform_radius: Positive  # m, from the centre of the platform to the wrists
+    active_link_length: Length  # m, from the joint's axis to the elbow
+    passive_link_length: Length  # m, of a forearm, from elbow to wrist
+    base_radius: Length  # m, from the centre of the base to the joints' axes
+    platform_radius: Length  # m, from the centre of the platform to the wrists
     arm_angles_deg: Three = [0.0, 120.0, 240.0]  # azimuth of each arm about the z axis
     active_link_length_error: Three = [0.0, 0.0, 0.0]  # true minus nominal per arm, found by `diagnose`
     passive_link_length_error: Three = [0.0, 0.0, 0.0]  # the same of the forearms
@@ -489,7 +500,7 @@ def save_robot(robot: Robot, path: str | Path, template: str | Path | None = Non
     document, old = tomlkit.document(), {}
     if template is not None:
         old = load_robot(template).model_dump()
-        document = tomlkit.parse(robot_file(template).read_text(encoding="utf-8"))
+        document = tomlkit.parse(robot_file(template).read_text(encoding="utf-8-sig"))
     _update(document, old, robot.model_dump(), robot.model_dump(exclude_none=True, exclude_defaults=True))
     path = Path(path)
     make_folder(path.parent)

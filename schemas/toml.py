@@ -40,7 +40,7 @@ def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:
     raw = read_bytes(path, MAX_BYTES, error)
     too_deep = f"{path}: tables or lists nested more than {MAX_DEPTH} deep"
     try:
-        text = raw.decode("utf-8")
+        text = raw.decode("utf-8-sig")  # editors of Windows begin a file with a mark
         if _LONG_KEY.search(_QUOTED.sub("s", text)):  # tomllib takes time by the square of its length
             raise error(too_deep)
         values = tomllib.loads(text)

@@ -43,6 +43,7 @@ SPELLED_ONLY = frozenset({
 })  # fmt: skip
 # the latter: what is a word, or names an axis, where it stands in a name without brackets
 _RATE = re.compile(r"/ ?(s|sec|min|h)\b|[/ ]s(\^?2|²)|s-[12]|s⁻[¹²]|1/min|u/min")
+_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+|[%‰°]")
 _LEFT_OUT = str.maketrans({mark: None for mark in " *·.⋅-_^"})
 
 
@@ -65,3 +66,37 @@ def is_another(text: str) -> bool:
     """Whether a text is a unit of neither a position, a torque nor a clock: a speed, a temperature, a power."""
     plain = text.strip().lower()
     return plain in OTHER_UNITS or _RATE.search(plain) is not None
+
+
+def tokens(name: str) -> list[str]:
+    """The words and numbers of a column's name: `axis0.actPos` is axis, 0, act, pos."""
+    return [token.lower() for token in _TOKEN.findall(name)]
+
+
+def unit_texts(name: str, told: str = "") -> list[str]:
+    """What may be a column's unit: what the file tells, else what stands between brackets in its name, the last
+    first."""
+    told = told.strip()
+    return [told] if told else re.findall(r"[\[(]([^\])]+)[\])]", name)[::-1]
+
+
+def said_unit(name: str, told: str, known: Mapping[str, str]) -> str | None:
+    """The unit of `known` that the file tells of a column, or else the column's name.
+
+    Example: said_unit("pos_deg", "", POSITION_UNITS) == "deg"
+    """
+    texts = unit_texts(name, told)
+    found = next((unit for text in texts if (unit := unit_of(text, known))), None)
+    if found or any(map(is_unit, texts)):
+        return found
+    for words in (re.split(r"[^\w%‰°µ]|_", name)[-2:], tokens(name)[-2:]):  # a unit of one letter names an axis too
+        spelled = (unit_of(word, known) for word in words if word.lower() not in SPELLED_ONLY)
+        if found := next((unit for unit in spelled if unit), None):
+            return found
+    return None
+
+
+def unknown_unit(name: str, told: str) -> str | None:
+    """What the file tells as a unit, or a name between square brackets, that is the unit of nothing that is known."""
+    texts = [told] if told else re.findall(r"\[([^\]]+)\]", name)
+    return next((t for t in texts if re.search(r"[^\W\d_]", t) and not is_unit(t) and t != "datetime"), None)

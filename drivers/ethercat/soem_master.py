@@ -30,6 +30,7 @@ from drivers.ethercat.setpoints import Answer, Setpoints
 from schemas.errors import BusError
 from schemas.messages import FARTHEST_AHEAD, NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 from schemas.robot import Robot
+from schemas.words import counted
 
 BRING_UP_TIME = 2.0  # s in which drives that do not answer, or not in full, are asked again: frames get lost
 FAULTY_TIME = 0.08  # s of working-counter faults in a row that end the run: sooner than the drives' watchdogs, 0.1 s
@@ -414,11 +415,12 @@ class Master:
         if self._declared:
             if found < max(self._places):
                 raise BusError(
-                    f"{self._interface}: {found} slaves on the bus, a drive is declared at {max(self._places)}"
+                    f"{self._interface}: {counted(found, 'slave')} on the bus, a drive is declared at "
+                    f"{max(self._places)}"
                 )
         elif found != 3:
             raise BusError(
-                f"{self._interface}: {found} slaves on the bus, robot {self._robot!r} has 3 drives"
+                f"{self._interface}: {counted(found, 'slave')} on the bus, robot {self._robot!r} has 3 drives"
                 + ("; drive.joint.N.place says which they are" if found > 3 else "")
             )
         if self._soem.state_check(pysoem.PREOP_STATE, 2_000_000) != pysoem.PREOP_STATE:

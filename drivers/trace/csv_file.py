@@ -15,6 +15,7 @@ import numpy as np
 from drivers.data_frames import pl
 from drivers.trace.from_columns import Plan, assemble, plan
 from drivers.trace.quality import EXACT_SECONDS
+from drivers.trace.told_units import contradictions
 from schemas.axes_description import Description
 from schemas.columns import CHANNELS, FILETIME_S, MAX_COLUMNS, TIME_UNITS, Columns
 from schemas.errors import TraceError
@@ -22,6 +23,7 @@ from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes
 from schemas.messages import NANOSECONDS, Gripper
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
+from schemas.units import is_unit
 
 MAX_LINE_BYTES = 1 << 20  # of a header; one of a thousand signals with their paths has 100 kB
 LATEST_S = 2.0**31 - 1  # year 2038: no stamp of a message is later
@@ -52,9 +54,10 @@ def read_csv(
     """
     raw = load(path)
     columns = columns or _mapping(raw, fallback, robot)
-    names, body = _split(raw, columns, path)
+    names, body, between = _split(raw, columns, path)
     wanted = plan(names, columns, path)
     body, notes = _without_cut_line(body, columns)
+    notes += contradictions(wanted, columns, unit_row(between, columns.separator))
     table = _parse(body, names, wanted, columns, path)
     table, epoch_ns = _from_epoch(table, body, names, wanted, columns)
     return assemble(table, wanted, columns, robot, path, notes, epoch_ns)
@@ -66,7 +69,7 @@ def read_cells(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], pl.
     Raises:
         TraceError: a line has more fields than the others.
     """
-    names, body = _split(raw, columns, path)
+    names, body, _ = _split(raw, columns, path)
     width = max(len(names), _first_line(body).count(columns.separator.encode()) + 1)
     names += [str(index + 1) for index in range(len(names), width)]
     try:
@@ -173,7 +176,23 @@ def _fields(line: str, separator: str) -> list[str]:
     return [field.strip().strip('"') for field in line.rstrip("\r\n").split(separator)]
 
 
-def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
+def unit_row(lines: Sequence[str], separator: str) -> dict[int, str]:
+    """Units by the index of their column, from the first of the lines between names and numbers that is mostly units;
+    unknown ones too."""
+    for line in lines:
+        cells = [cell.strip("[]() ") for cell in _fields(line, separator)]
+        filled = {index: cell for index, cell in enumerate(cells) if cell.strip("-")}
+        if filled and sum(map(is_unit, filled.values())) > len(cells) // 2:
+            return filled
+    return {}
+
+
+def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes, list[str]]:
+    """Names of the columns, the rows, and the lines between them.
+
+    Raises:
+        TraceError: there are no rows, or no text in this encoding, or more than is read.
+    """
     lines = raw.split(b"\n", columns.first_line - 1)
     if len(lines) < columns.first_line or not lines[-1].strip():
         raise TraceError(f"{path}: no data rows: the file ends before line {columns.first_line}")
@@ -182,6 +201,7 @@ def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
         raise TraceError(f"{path}: line {columns.header_line} has {len(head)} bytes, at most {MAX_LINE_BYTES} are read")
     try:
         header = head.decode(columns.encoding)
+        between = [line.decode(columns.encoding) for line in lines[columns.header_line : -1]]
         if columns.encoding != "utf-8":
             body = body.decode(columns.encoding).encode()
     except UnicodeError as error:
@@ -198,7 +218,7 @@ def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
     most = max(len(names), _first_line(body).count(columns.separator.encode()) + 1)
     if most > MAX_COLUMNS:
         raise TraceError(f"{path}: {most} columns, at most {MAX_COLUMNS} are read")
-    return names, body
+    return names, body, between
 
 
 def _without_cut_line(body: bytes, columns: Columns) -> tuple[bytes, list[Finding]]:

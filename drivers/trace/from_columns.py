@@ -16,6 +16,7 @@ from schemas.errors import TraceError
 from schemas.joints_description import Machine
 from schemas.messages import Gripper
 from schemas.trace import Finding, Trace
+from schemas.words import counted
 
 COUNTED = -1  # index of the stamps where the table has none and `time.rate_hz` says how far apart its rows are
 STAYS = 3  # rows that a reading is off by its width until it is taken for wrapped, not for a glitch
@@ -252,7 +253,7 @@ def _stamped(stamps: np.ndarray, lines: RowNames) -> tuple[np.ndarray, list[Find
     bad = np.flatnonzero(~finite[: rows[-1]])
     if len(bad) == 0:
         return rows, []
-    message = f"{len(bad)} rows without a possible time stamp were left out: {lines.name(bad)}"
+    message = f"left out {counted(len(bad), 'row')} without a possible time stamp: {lines.name(bad)}"
     return rows, [Finding.note(message)]
 
 
@@ -307,8 +308,8 @@ def _refuse_wraps(raw: np.ndarray, channel: Channel, lines: RowNames, path: Path
             at = np.flatnonzero(wraps) + 1
             remedy = f"bits = {bits}" if isinstance(channel.column, TorqueColumn) else "unwrap it first"
             raise TraceError(
-                f"{path}: {channel.label} steps by 2^{bits} {len(at)} times ({lines.name(known[at])}): a reading of "
-                f"{bits} bits that wraps: {remedy}"
+                f"{path}: {channel.label} steps by 2^{bits} {counted(len(at), 'time')} ({lines.name(known[at])}): "
+                f"a reading of {bits} bits that wraps: {remedy}"
             )
 
 

@@ -28,7 +28,7 @@ from mcap.records import Channel, Chunk, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
-from schemas.errors import MessageError, StorageError
+from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import MIB, most_unpacked
 from schemas.kernels import kernel
 
@@ -62,10 +62,10 @@ def read_summary(stream: IO[bytes], path: Path) -> Summary | None:
     """Channels, schemas and statistics of the file; None where its writer did not come to write them.
 
     Raises:
-        StorageError: not an MCAP file, cut off, or a summary beyond `MAX_SUMMARY_BYTES`.
+        TraceError: not an MCAP file. StorageError: cut off, or a summary beyond `MAX_SUMMARY_BYTES`.
     """
     if stream.read(len(MAGIC)) != MAGIC:
-        raise StorageError(f"{path}: not an MCAP file: it does not start like one")
+        raise TraceError(f"{path}: not an MCAP file: it does not start like one")
     size = stream.seek(0, io.SEEK_END)
     stream.seek(max(size - _FOOTER_BYTES, 0))
     footer = stream.read()

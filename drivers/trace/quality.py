@@ -15,6 +15,7 @@ from schemas.joints_description import Machine
 from schemas.messages import SampleFlag
 from schemas.robot import Geometry, Robot
 from schemas.trace import Finding, Trace
+from schemas.words import counted
 
 EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
 GAP_PERIODS = 1.5  # a step of the stamps above this many periods has lost cycles
@@ -53,7 +54,7 @@ def check(trace: Trace, rows: RowNames, robot: Description | None) -> Trace:
         TraceError: fewer than two samples, stamps that mostly do not rise, or positions mostly outside the joint range.
     """
     if len(trace) < 2:
-        raise TraceError(f"{trace.path}: {len(trace)} samples, at least 2 are needed")
+        raise TraceError(f"{trace.path}: {counted(len(trace), 'sample')}, at least 2 are needed")
     flags = np.zeros(len(trace), np.uint32) if len(trace.flags) == 0 else trace.flags.copy()
     findings = list(trace.findings)
     for finding in (*_stamps(trace, rows), *_values(trace, rows, robot), *_range(trace, rows, robot)):
@@ -74,35 +75,35 @@ def _stamps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
     period = float(np.median(step[rising]))
     ahead = trace.time[1:] - np.maximum.accumulate(trace.time)[:-1]  # a step back makes no gap where time catches up
     back, repeated, gap = (np.flatnonzero(s) + 1 for s in (step < 0, step == 0, ahead > GAP_PERIODS * period))
-    counted = None if trace.sequence is None else np.diff(trace.sequence.astype(np.int64))
-    if counted is not None:
-        gap = np.union1d(gap, np.flatnonzero(counted > 1) + 1)
-        repeated = np.union1d(repeated, np.flatnonzero(counted == 0) + 1)
+    sequenced = None if trace.sequence is None else np.diff(trace.sequence.astype(np.int64))
+    if sequenced is not None:
+        gap = np.union1d(gap, np.flatnonzero(sequenced > 1) + 1)
+        repeated = np.union1d(repeated, np.flatnonzero(sequenced == 0) + 1)
     if note := implausible_rate(period):
         yield Finding.note(note)
     if len(back):
         i = back[0]
         yield Finding(
             SampleFlag.TIME_BACKWARDS,
-            f"time goes back {len(back)} times: {rows.name(back)} "
+            f"time goes back {counted(len(back), 'time')}: {rows.name(back)} "
             f"({trace.time[i]:.9g} s after {trace.time[i - 1]:.9g} s)",
             back,
         )
     if len(repeated):
         yield Finding(
             SampleFlag.REPEATED,
-            f"{len(repeated)} stamps or sequence numbers repeated: {rows.name(repeated)} "
+            f"stamp or sequence number repeated {counted(len(repeated), 'time')}: {rows.name(repeated)} "
             f"({trace.time[repeated[0]]:.9g} s)",
             repeated,
         )
     if len(gap):
         lost = np.maximum(np.rint(ahead[gap - 1] / period) - 1, 0)
-        if counted is not None:
-            lost = np.maximum(lost, counted[gap - 1] - 1)
+        if sequenced is not None:
+            lost = np.maximum(lost, sequenced[gap - 1] - 1)
         yield Finding(
             SampleFlag.GAP_BEFORE,
-            f"{len(gap)} gaps, {lost.sum():.9g} cycles of {period * 1e3:.6g} ms missing: before {rows.name(gap)} "
-            f"(longest {ahead[gap - 1].max() * 1e3:.6g} ms)",
+            f"{counted(len(gap), 'gap')}, {counted(int(lost.sum()), 'cycle')} of {period * 1e3:.6g} ms missing: "
+            f"before {rows.name(gap)} (longest {ahead[gap - 1].max() * 1e3:.6g} ms)",
             gap,
         )
 
@@ -119,7 +120,7 @@ def _values(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator
         for joint in range(values.shape[1]):
             bad = np.flatnonzero(~(np.abs(values[:, joint]) <= LARGEST))
             if len(bad):
-                what = f"{name} of joint {joint + 1}: {len(bad)} values missing or not finite"
+                what = f"{name} of joint {joint + 1}: {counted(len(bad), 'value')} missing or not finite"
                 yield Finding(flag, f"{what}: {rows.name(bad)} ({values[bad[0], joint]})", bad)
     yield from _commanded(trace)
     yield from _jumps(trace, rows, 0.0 if robot is None or isinstance(robot, Robot) else BURST)
@@ -154,8 +155,8 @@ def _jumps(trace: Trace, rows: RowNames, burst: float) -> Iterator[Finding]:
             before, after = trace.position[bad[0] - 1 : bad[0] + 1, joint]
             yield Finding(
                 SampleFlag.JUMP,
-                f"position of joint {joint + 1} jumps {len(bad)} times, further in one cycle than a joint can: "
-                f"{rows.name(bad)} (from {before:.6g} to {after:.6g})",
+                f"position of joint {joint + 1} jumps {counted(len(bad), 'time')}, further in one cycle than a joint "
+                f"can: {rows.name(bad)} (from {before:.6g} to {after:.6g})",
                 bad,
             )
 
@@ -205,6 +206,6 @@ def _range(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator[
             )
         yield Finding(
             SampleFlag.OUT_OF_RANGE,
-            f"position of joint {joint + 1}: {len(bad)} samples out of range: {rows.name(bad)} ({span})",
+            f"position of joint {joint + 1}: {counted(len(bad), 'sample')} out of range: {rows.name(bad)} ({span})",
             bad,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from drivers.trace.quality import GAP_PERIODS
 from schemas.columns import CHANNELS
 from schemas.messages import SampleFlag
-from schemas.trace import Trace
+from schemas.trace import Finding, Trace
+from service.model.signals import LEAST_S
 
 
 def survey(trace: Trace) -> dict[str, Any]:
@@ -37,10 +39,34 @@ def survey(trace: Trace) -> dict[str, Any]:
         "flagged": int(np.count_nonzero(trace.flags & ~np.uint32(SampleFlag.NO_COMMAND))),
         "findings": [
             {"flag": finding.flag.name, "message": finding.message, "rows": finding.rows.tolist()}
-            for finding in trace.findings
+            for finding in (*trace.findings, *_of_the_whole(trace, channels))
         ],
         "channels": channels,
     }
+
+
+def is_of_use(figures: dict[str, Any]) -> bool:
+    """Whether a joint moves in a log with these figures for as long as a model is fitted to at all."""
+    measured = (one for name, one in figures["channels"].items() if re.match(r"position_\d", name))
+    return figures["duration_s"] >= LEAST_S and any(map(_moves, measured))
+
+
+def _moves(channel: dict[str, Any]) -> bool:
+    return channel["min"] != channel["max"]
+
+
+def _of_the_whole(trace: Trace, channels: dict[str, Any]) -> list[Finding]:
+    """What no row by itself shows: a log too short for a model, measured channels that never change."""
+    notes = []
+    duration = float(np.ptp(trace.time))
+    if duration < LEAST_S:
+        notes.append(f"lasts {duration:.3g} s: a model is fitted to {LEAST_S:g} s or more")
+    measured = {name: one for name, one in channels.items() if "command" not in name and one["min"] is not None}
+    if constant := [name for name, one in measured.items() if not _moves(one)]:
+        still = all(name in constant for name in measured if name.startswith("position"))
+        held = f"{', '.join(constant)}: the same value in every row"
+        notes.append(f"no joint moves; {held}" if still else held)
+    return [Finding.note(note) for note in notes]
 
 
 def _unit(trace: Trace, channel: str) -> str:

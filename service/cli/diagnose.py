@@ -96,7 +96,8 @@ def command(
         save_description(corrected(findings), target, template=robot)
         if tried is not None:
             write_text(target, noted(target.read_text(encoding="utf-8"), tried))
-        write_report(findings, result, out / "report.html")
+        said = headline(result, target, columns)
+        write_report(findings, result, out / "report.html", said)
         if pdf:
             status.update("printing the report")
             print_page(out / "report.html", out / "report.pdf")
@@ -109,4 +110,4 @@ def command(
         screen.print()
     written = "diagnosis.json, corrected.toml, report.html" + (", report.pdf" if pdf else "")
     typer.echo(f"wrote {written} in {out}")
-    say_headline(headline(result, out))
+    say_headline(said)

@@ -99,6 +99,7 @@ def command(
 
     from schemas.axes_description import load_description
     from schemas.files import write_text
+    from schemas.words import counted
     from service.identification.proposal import propose
 
     description = load_description(robot) if robot else None
@@ -118,8 +119,9 @@ def command(
     if json:
         typer.echo(_json(runs[0], proposal, logs, mapping))
         return
+    joints = counted(len(proposal.columns["position"]), "joint")
     for log, count in zip(logs, samples, strict=True):
-        typer.echo(f"{log}: {count} samples, {len(proposal.columns['position'])} joints; mapping in {mapping}")
+        typer.echo(f"{log}: {counted(count, 'sample')}, {joints}; mapping in {mapping}")
     say_next("diagnose", *logs, "--robot", robot or "ROBOT.toml", "--out", "diagnosis")
 
 

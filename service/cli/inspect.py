@@ -70,26 +70,30 @@ def command(
 
 
 def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | None, columns: object) -> None:
-    from drivers.trace import CAPTURE_ENDINGS
+    from drivers.trace.survey import is_of_use
     from schemas.words import counted
 
     usable = [path for path, one in zip(traces, surveys, strict=True) if "error" not in one]
-    content = [path for path in traces if path.is_file() and path.stat().st_size]
     clean = sum("error" not in one and not one["findings"] for one in surveys)
     said = f"{len(usable)} of {counted(len(surveys), 'file')} usable, {clean} without a finding."
-    if not usable and (not content or content[0].name.endswith(CAPTURE_ENDINGS)):
-        typer.echo(said)  # no command makes anything of it
-    elif not usable:
-        conclude(said, "import", content[0], *(("--robot", robot) if robot else ()))
-    elif robot:
-        conclude(said, "identify", *usable, "--robot", robot, *read_by(columns), "--out", "identified.toml")
-    else:
+    unread = [path for path, one in zip(traces, surveys, strict=True) if "deltatwin import" in one.get("error", "")]
+    of_use = [p for p, one in zip(traces, surveys, strict=True) if "channels" not in one or is_of_use(one)]
+    if not usable and unread:
+        conclude(said, "import", unread[0], *(("--robot", robot) if robot else ()))
+    elif robot and (named := [path for path in usable if path in of_use]):
+        conclude(said, "identify", *named, "--robot", robot, *read_by(columns), "--out", "identified.toml")
+    elif usable and not robot:
         conclude(said, "init", "--help")
+    else:
+        typer.echo(said)  # no command makes anything of these, or the error names it
 
 
 def _show(figures: dict[str, Any]) -> None:
+    from schemas.words import counted
+
     say(
-        f"[bold]{escape(figures['path'])}[/bold]: {figures['samples']} samples, {figures['joints']} joints, "
+        f"[bold]{escape(figures['path'])}[/bold]: {counted(figures['samples'], 'sample')}, "
+        f"{counted(figures['joints'], 'joint')}, "
         f"{figures['duration_s']:.6g} s from {figures['start_s']:.9g} s"
     )
     bases: dict[tuple, list[str]] = {}  # channels with the same stamps

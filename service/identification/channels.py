@@ -15,11 +15,10 @@ from schemas.units import (
     CLOCK_UNITS,
     OTHER_UNITS,
     POSITION_UNITS,
-    SPELLED_ONLY,
     TIME_UNITS,
     TORQUE_UNITS,
     is_another,
-    is_unit,
+    tokens,
     unit_of,
 )
 
@@ -60,7 +59,6 @@ FOLLOWS = 0.02  # of a column, rms, that its being a position's rate leaves; of 
 OTHER = "other"  # role of a column whose name or unit says that it is neither
 FILETIMES = 1.19e17, 1.37e17  # 100 ns since 1601: years 1978 to 2035
 LEAST_HZ = 20.0  # of logs that hold dynamics; a unit of time that gives a lower rate is not believed
-_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+|[%‰°]")
 
 
 @dataclass(frozen=True)
@@ -78,11 +76,6 @@ class Channels:
     reasons: Sequence[str] = field(default=())
     order: Sequence[str] = field(default=())
     doubts: Sequence[str] = field(default=())
-
-
-def tokens(name: str) -> list[str]:
-    """The words and numbers of a column's name: `axis0.actPos` is axis, 0, act, pos."""
-    return [token.lower() for token in _TOKEN.findall(name)]
 
 
 def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Channels:
@@ -258,12 +251,12 @@ def time_unit(table: Table, name: str) -> tuple[str, bool]:
     known = table.columns[name][np.isfinite(table.columns[name])]
     if len(known) and FILETIMES[0] < known.min() <= known.max() < FILETIMES[1]:  # no other clock counts there
         return "filetime", True
-    texts = _unit_texts(table, name)
+    texts = table.unit_texts(name)
     if "datetime" in texts:
         return "datetime", True
     if said := next((unit for text in texts if (unit := unit_of(text, CLOCK_UNITS))), None):
         return said, True
-    if other := unknown_unit(table, name) or next(filter(is_another, texts), None):
+    if other := table.unknown_unit(name) or next(filter(is_another, texts), None):
         raise DataError(
             f"{table.path}: stamps in {name!r} are in {other!r}: only s, ms, us and ns are read; or give --rate HZ"
         )
@@ -279,32 +272,6 @@ def time_unit(table: Table, name: str) -> tuple[str, bool]:
 def rate_hz(table: Table, clock: str) -> float:
     """Samples a second by a column of stamps."""
     return TIME_UNITS.get(time_unit(table, clock)[0], 1.0) / _step(table.columns[clock])
-
-
-def said_unit(table: Table, name: str, known: Mapping[str, str]) -> str | None:
-    """The unit that the file, or the name of the column, gives."""
-    texts = _unit_texts(table, name)
-    found = next((unit for text in texts if (unit := unit_of(text, known))), None)
-    if found or any(map(is_unit, texts)):
-        return found
-    for words in (re.split(r"[^\w%‰°µ]|_", name)[-2:], tokens(name)[-2:]):  # a unit of one letter names an axis too
-        spelled = (unit_of(word, known) for word in words if word.lower() not in SPELLED_ONLY)
-        if found := next((unit for unit in spelled if unit), None):
-            return found
-    return None
-
-
-def unknown_unit(table: Table, name: str) -> str | None:
-    """What the file gives as a unit, or a name between square brackets, that is the unit of nothing that is known."""
-    said = table.units.get(name, "")
-    texts = [said] if said else re.findall(r"\[([^\]]+)\]", name)
-    return next((t for t in texts if re.search(r"[^\W\d_]", t) and not is_unit(t) and t != "datetime"), None)
-
-
-def _unit_texts(table: Table, name: str) -> list[str]:
-    """What may be a column's unit: the file's own, else what stands between brackets in its name, the last first."""
-    said = table.units.get(name, "").strip()
-    return [said] if said else re.findall(r"[\[(]([^\])]+)[\])]", name)[::-1]
 
 
 def _time(table: Table) -> str | None:
@@ -362,8 +329,8 @@ def _role(name: str, table: Table) -> str | None:
     if words & WORDS["other"] or (len(alone) == 1 and alone <= OTHER_ALONE) or _of_another_kind(table, name):
         return OTHER
     command = bool(words & WORDS["command"])
-    torque = words & (WORDS["torque"] | WORDS["current"]) or said_unit(table, name, TORQUE_UNITS)
-    position = words & WORDS["position"] or said_unit(table, name, POSITION_UNITS)
+    torque = words & (WORDS["torque"] | WORDS["current"]) or table.said_unit(name, TORQUE_UNITS)
+    position = words & WORDS["position"] or table.said_unit(name, POSITION_UNITS)
     if bool(torque) == bool(position):
         strong = "torque" if words & (WORDS["torque"] - {"m", "load"}) else "position"
         kind = strong if torque and position else "position" if command and words & {"qg", "goal"} else None
@@ -374,7 +341,7 @@ def _role(name: str, table: Table) -> str | None:
 
 def _of_another_kind(table: Table, name: str) -> bool:
     """Whether the unit that the file or the name gives is that of neither a position nor a torque."""
-    said = _unit_texts(table, name)
+    said = table.unit_texts(name)
     known = any(unit_of(text, units) for text in said for units in (POSITION_UNITS, TORQUE_UNITS))
     return not known and (any(map(is_another, said)) or "rpm" in tokens(name)[-2:])
 
@@ -383,7 +350,7 @@ def no_torque(table: Table, columns: Sequence[str]) -> str | None:
     """Why no torque was recorded; None where there is one, or may be. columns: taken for it."""
     if columns:
         if other := next((name for name in columns if _of_another_kind(table, name)), None):
-            return f"{other!r} is in {', '.join(_unit_texts(table, other)) or 'another unit'}"
+            return f"{other!r} is in {', '.join(table.unit_texts(other)) or 'another unit'}"
         constant = [name for name in columns if not _moves(table.columns[name])]
         if len(constant) < len(columns):
             return None

@@ -23,6 +23,7 @@ from schemas.errors import DataError, TraceError
 from schemas.messages import SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Trace
+from schemas.words import counted
 from service.identification.checks import SUSPECT, TorqueReading, best_reading, held_out_share
 from service.identification.fit import within
 from service.identification.folds import BLOCK, FOLDS
@@ -101,7 +102,7 @@ def trial(run: Run, angular: bool = True) -> Trace:
     stamped = np.isfinite(clock)
     position, torque, clock = possible(position[stamped]), possible(torque[stamped]), clock[stamped]
     if len(clock) < 2 or not rate > 0:
-        raise TraceError(f"{len(clock)} rows with a stamp")
+        raise TraceError(f"{counted(len(clock), 'row')} with a stamp")
     length = min(len(position), int(LONGEST * rate))
     activity = np.concatenate([[0.0], np.cumsum(np.nansum(np.abs(np.diff(position, axis=0)), axis=1))])
     ends = activity[length - 1 :] - activity[: len(activity) - length + 1]

@@ -24,7 +24,6 @@ from service.identification.channels import (
     is_rate,
     no_torque,
     rate_hz,
-    said_unit,
     time_unit,
 )
 from service.identification.evidence import Run
@@ -142,7 +141,7 @@ def _reading(
         if len(positions) > 1:
             found.doubts.append(f"positions are assumed to be {named(positions[0])}: the file does not say")
     else:
-        unit = stated.position_unit or said_unit(runs[0], channels.position[0], POSITION_UNITS)
+        unit = stated.position_unit or runs[0].said_unit(channels.position[0], POSITION_UNITS)
         logs = [_run(run, channels, own, stated.rate_hz) for run in runs]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # numbers of no machine are no evidence
             found = judge(robot, logs, positions, torque, (unit is not None, told))
@@ -211,8 +210,8 @@ def _as_measured(
     """How commands are to be read so that they go as far as what was measured, which `entry` says; None where no unit
     is known in which they do."""
     if not isinstance(entry["unit"], str):  # a unit a joint
-        return entry if [said_unit(table, name, units) for name in names] == entry["unit"] else None
-    said = said_unit(table, names[0], units)
+        return entry if [table.said_unit(name, units) for name in names] == entry["unit"] else None
+    said = table.said_unit(names[0], units)
     same = said in (None, entry["unit"])
     if units is TORQUE_UNITS:  # a command may be a part of the torque, however large
         return entry if same else None
@@ -263,7 +262,7 @@ def _refuse_rates(table: Table, channels: Channels, doubts: list[str]) -> None:
     """
     clock = table.time_of.get(channels.position[0], channels.time)
     for at, name in zip(channels.position, channels.torque, strict=True):
-        if said_unit(table, name, TORQUE_UNITS) is None and is_rate(table, name, at, clock):
+        if table.said_unit(name, TORQUE_UNITS) is None and is_rate(table, name, at, clock):
             line = f"{name!r} is the speed or acceleration of {at!r}"
             if not calls_itself_torque(name):
                 raise DataError(f"{table.path}: no torque was recorded: {line}; if it is a torque, give --torque NAME")

@@ -22,8 +22,17 @@ from schemas.diagnosis import named_joints
 from schemas.errors import DataError, RobotError
 from schemas.joints_description import Machine
 from schemas.robot import Robot
-from schemas.units import CONSTANTS, LINEAR, POSITION_SCALES, POSITION_UNITS, SHARES, TORQUE_SCALES, TORQUE_UNITS
-from service.identification.channels import WORDS, Channels, said_unit, tokens, unknown_unit
+from schemas.units import (
+    CONSTANTS,
+    LINEAR,
+    POSITION_SCALES,
+    POSITION_UNITS,
+    SHARES,
+    TORQUE_SCALES,
+    TORQUE_UNITS,
+    tokens,
+)
+from service.identification.channels import WORDS, Channels
 from service.identification.checks import SUSPECT
 from service.identification.evidence import (
     AS_GIVEN,
@@ -184,9 +193,9 @@ class Candidates:
         if stated is not None:
             return [stated] * len(names)
         for name in names:
-            if other := unknown_unit(self._table, name):
+            if other := self._table.unknown_unit(name):
                 raise DataError(f"{self._table.path}: {name!r} is in {other!r}, an unknown unit: give {option}")
-        return [said_unit(self._table, name, known) for name in names]
+        return [self._table.said_unit(name, known) for name in names]
 
     def _mixed(self, said: list[str | None], reasons: list[str]) -> list[dict[str, Any]]:
         """Positions of joints that are in several units, as the file says.
@@ -483,8 +492,8 @@ def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
             doubts.append(f"{line}: the sign is kept as recorded")
     if best.share > POOR:
         doubts.append(
-            f"the equations of {robot.name} leave {_percent(best.share)} of the torque unexplained: are sign, order "
-            "and zero of the positions right, and does the URDF describe this arm?"
+            f"the equations of {robot.name} leave {_percent(best.share)} of the torque unexplained: are unit, "
+            "side of the gear, sign, order and zero of the positions right, and does the URDF describe this arm?"
         )
     return replace(best, doubts=doubts)
 
@@ -585,7 +594,8 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
         worth = float(f"{reads.scale * per:.4g}")
         torque = {key: worth if value is None else value for key, value in unknown.items()}
         what = "unit of torque" if known else torque["unit"]
-        doubts.append(f"one {what} is assumed to be {reads.scale:.4g} N m, {WHENCE}")
+        of_motor = f" ({reads.scale / gear:.4g} N m of the motor)" if gear != 1.0 else ""
+        doubts.append(f"one {what} is assumed to be {reads.scale:.4g} N m at the joint{of_motor}, {WHENCE}")
     elif side != 1.0:
         torque["side"] = "motor"
         line = f"torques are of the motor: they fit when multiplied by the gear ratio {gear:g}"
@@ -596,15 +606,25 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
             f"torques in {torque['unit']} of {torque['rated']:g} N m fit at the joint, and a drive reports those of "
             f"the motor, {gear:g} times less: is the rated torque right?"
         )
-    if side is not None and not (told and fits):
+    if side is not None and not told:
         why = "; the fit confirms it" if fits else f"; from the masses one unit would be {fit.by_masses / side:.3g} N m"
         why = "; the fit is poor" if fit.share >= SUSPECT else why
-        by = f"torques are assumed to be N m: the file does not say{why}"
-        said_so = f"torques are N m according to the file{why}" if told else by
-        if not told or fit.share < SUSPECT:
-            (reasons if fits else doubts).append(said_so)
+        (reasons if fits else doubts).append(f"torques are assumed to be N m: the file does not say{why}")
+    elif side is not None and fit.share < SUSPECT and not fits:
+        doubts.append(
+            f"read as {_told(torque)}, the torques are {side / fit.by_masses:.3g} times those that the masses need: is "
+            "the gear ratio, the unit or rated torque, or a mass wrong?"
+        )
     signs = [int(sign) for sign in reads.signs]
     return Reading(reading.position, torque, fit.left, fit.signs, signs, reasons, doubts, Lines(of_torque))
+
+
+def _told(torque: Mapping[str, Any]) -> str:
+    """The unit of torques in words, with what one of it stands for."""
+    if (rated := torque.get("rated")) is not None:
+        return f"{torque['unit']} of {rated:g} N m"
+    constant = torque.get("constant")
+    return torque["unit"] if constant is None else f"{torque['unit']} with {constant:g} N m per {torque['unit']}"
 
 
 def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque: dict[str, Any]) -> None:
@@ -619,7 +639,9 @@ def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque:
             if isinstance(robot, Robot)
             else _of_machine(robot, other, best.position, torque)
         )
-        if there.left is not None and log_odds(there.left, best.left) >= SURE:
+        if there.left is None or there.share > HOPELESS:  # it explains as little
+            continue
+        if log_odds(there.left, best.left) >= SURE:
             best.doubts.append(
                 f"with {times:g} times the gear ratio or increments per turn, {_percent(there.share)} of the torque "
                 f"would remain unexplained instead of {_percent(best.share)}: are they right?"

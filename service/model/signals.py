@@ -41,6 +41,7 @@ LEVER = 0.1  # m: of an axis that goes along a line, a speed or a way of so much
 REST_TIME = 0.040  # s below REST_SPEED that make a rest
 REST_MARGIN = 0.015  # s left out on both sides of a rest
 EDGE = 0.1  # s at each end of a segment that the filters' start reaches into
+LEAST_S = 4 * EDGE  # of a part without a fault, which is then mostly free of edges
 LONGEST_STEP = 1.5  # periods between two samples; beyond is a gap
 SAME_RATE = 0.02  # share by which the sample time of two logs of one rate may differ
 JITTER = 0.1  # of the period, from the 5 % shortest to the 5 % longest steps: beyond, samples may have been polled
@@ -345,7 +346,7 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
     steps = np.diff(time)
     period = float(np.median(np.abs(steps)))
     _check_scale(trace, period, len(good), torque)
-    shortest = round(4 * EDGE / period)
+    shortest = round(LEAST_S / period)
     polled = polled or _polled(time, position)
     gap = steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period
     ends = np.flatnonzero(gap | _set_back(trace, good, steps, period)) + 1
@@ -368,7 +369,7 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
     if not result:
         longest = max(len(part) for part in every) * period
         raise TraceError(
-            f"{trace.path}: the longest part without a fault lasts {longest:.3g} s; at least {4 * EDGE:g} s are needed"
+            f"{trace.path}: the longest part without a fault lasts {longest:.3g} s; at least {LEAST_S:g} s are needed"
         )
     return result
 

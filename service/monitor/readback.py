@@ -9,7 +9,7 @@ import numpy as np
 from mcap.summary import Summary
 
 from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
-from schemas.errors import MessageError, StorageError
+from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
 from schemas.messages import OPTIONAL, TOPICS, Message, dtype_of
 
@@ -44,6 +44,8 @@ def read_recording(path: Path) -> dict[str, Recorded]:
             found = read_messages(stream, path, wanted)
     except OSError as error:
         raise StorageError(f"{path}: {error.strerror}") from error
+    except TraceError as error:
+        raise StorageError(str(error)) from error
     except (MessageError, StorageError) as error:
         raise StorageError(f"{path}: not a whole recording ({error}); deltatwin recover {path} OUT.mcap") from error
     return {

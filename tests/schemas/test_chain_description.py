@@ -36,6 +36,10 @@ L2 = arm.LINK.format(name="l2", xyz="0.15 0.01 0.02", mass=3, ixx=0.01, iyy=0.04
         (changed('joints = ["j1", "j2", "j3"]', 'joints = ["j1", "j2"]'), "joint 'j3' moves, too: name it in `joints`"),
         (changed('held = ["grip"]', ""), "joint 'grip' moves, too"),
         (changed('"j2", "j3"]\nheld = ["grip"]', '"j2"]'), "joints 'j3', 'grip' move, too: name them in `joints`"),
+        (
+            changed('joints = ["j1", "j2", "j3"]', ""),
+            "joints: missing key; joints of small.urdf that turn: j1, j2, j3",
+        ),
         (changed('"j3"]', '"j3", "mount"]'), "joint 'mount' is fixed"),
         (changed('"j3"]', '"j3", "j1"]'), "joints: 'j1' is named twice"),
         (changed(L2, '<link name="l2"/>'), "link 'l2' moves with joint 'j2' and has no mass"),

@@ -79,7 +79,8 @@ ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1
         ("gear_ratio = 5", "gear_ratio = true", r"drive\.gear_ratio: .*valid number.*\(got True\)"),
         ("gear_ratio = 5", "gear_ratio = 0", r"drive\.gear_ratio: .*greater than 0.*\(got 0\)"),
         ("0.86", "0.5", r"geometry: passive_link_length 0\.5 m does not reach the axis: it must exceed .* = 0\.55 m"),
-        ("base_radius = 0.22", "base_radius = 22", r"geometry: passive_link_length 0\.86 m does not reach"),
+        ("base_radius = 0.22", "base_radius = 2.2", r"geometry: passive_link_length 0\.86 m does not reach"),
+        ("0.86", "860", r"geometry\.passive_link_length: .*860 m: .*lengths are in metres \(is it 0\.86 m\?\)"),
         ("[mass]", "arm_angles_deg = [0, 120]\n[mass]", r"geometry\.arm_angles_deg: .*at least 3"),
         ("[mass]", "arm_angles_deg = [0, 5, 240]\n[mass]", r"geometry: arm_angles_deg \[0\.0, 5\.0, 240\.0\]: arms"),
         ("[mass]", "arm_angles_deg = [0, 60, 120]\n[mass]", r".*not all on one side"),
@@ -114,6 +115,16 @@ def test_files_that_are_no_robot(tmp_path: Path, content: bytes, message: str) -
     (tmp_path / "r.toml").write_bytes(content)
     with pytest.raises(RobotError, match=message):
         load_robot(tmp_path / "r.toml")
+
+
+def test_a_byte_order_mark_is_no_part_of_a_description(tmp_path: Path) -> None:
+    path = tmp_path / "r.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + TEXT.encode())
+    robot = load_robot(path)
+    assert robot == load(tmp_path, TEXT)
+    path.write_bytes(b"\xef\xbb\xbf" + TEXT.encode())
+    save_robot(robot, tmp_path / "again.toml", template=path)
+    assert (tmp_path / "again.toml").read_text(encoding="utf-8") == TEXT
 
 
 def test_no_such_file_and_a_folder(tmp_path: Path) -> None:

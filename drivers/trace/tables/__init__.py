@@ -16,6 +16,7 @@ import numpy as np
 from schemas.columns import MAX_COLUMNS
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
+from schemas.units import said_unit, unit_texts, unknown_unit
 
 READERS = {
     ".npy": "numpy_file",
@@ -62,6 +63,18 @@ class Table:
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
+
+    def said_unit(self, name: str, known: Mapping[str, str]) -> str | None:
+        """The unit of `known` that the file, or the name of the column, gives."""
+        return said_unit(name, self.units.get(name, ""), known)
+
+    def unit_texts(self, name: str) -> list[str]:
+        """What of the file, or of the name of the column, may be its unit."""
+        return unit_texts(name, self.units.get(name, ""))
+
+    def unknown_unit(self, name: str) -> str | None:
+        """What the file or the name of the column gives as a unit, and is the unit of nothing that is known."""
+        return unknown_unit(name, self.units.get(name, ""))
 
 
 def read_table(path: Path, layout: Mapping[str, Any] | None = None) -> Table:

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from drivers.data_frames import pl
-from drivers.trace.csv_file import MISSING, date_times, load, read_cells
+from drivers.trace.csv_file import MISSING, date_times, load, read_cells, unit_row
 from drivers.trace.tables import Table
 from drivers.trace.tables.codesys import FIRST_LINE as CODESYS_CSV
 from drivers.trace.tables.codesys import read_csv as read_codesys
 from schemas.columns import MAX_COLUMNS, Columns
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
-from schemas.units import is_unit
 
 DAY = r"^(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?[./]\d\d?[./]\d{4})$"
 TIME_OF_DAY = r"^\d\d?:\d\d:\d\d([.,]\d+)?$"
@@ -50,7 +49,7 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     columns = Columns.model_validate(
         {key: value for key, value in found.items() if key != "date"} | {"position": "-", "torque": "--"}
     )
-    units = _units(head, columns)
+    units = unit_row(head[columns.header_line : columns.first_line - 1], columns.separator)
     symbols = next((_fields(line, columns.separator) for line in head if line.startswith("SymbolName")), [])
     names, cells = read_cells(raw, columns, path)
     values: dict[str, np.ndarray] = {}
@@ -265,15 +264,6 @@ def _header(head: list[str], separator: str, decimal: str, start: int, fields: i
     if start + 1 != named + 1:
         found["data_line"] = start + 1
     return found
-
-
-def _units(head: list[str], columns: Columns) -> dict[int, str]:
-    """Units that stand on a line between names and numbers, by the index of their column; unknown ones too."""
-    for line in head[columns.header_line : columns.first_line - 1]:
-        cells = [cell.strip("[]() ") for cell in _fields(line, columns.separator)]
-        if cells and sum(is_unit(cell) for cell in cells) > len(cells) // 2:
-            return {index: cell for index, cell in enumerate(cells) if cell.strip("-")}
-    return {}
 
 
 def _unique(name: str, taken: Mapping[str, object]) -> str:

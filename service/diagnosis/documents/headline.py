@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from schemas.diagnosis import Diagnosis, NamedEffect, OnlineTrial, placed
@@ -14,13 +15,15 @@ AGREE = "Model and robot agree: the gap is within the noise of the torque signal
 NONE = "No cause is confirmed: no effect of the catalogue explains the structure in the gap."
 ASKED = "No effect can be diagnosed from these data."
 TRY = (
-    "check the cause on the machine. `deltatwin evaluate LOG --robot {corrected}` tests the correction on a log that "
-    "was not used here."
+    "check the cause on the machine. `deltatwin evaluate LOG {words}` tests the correction on a log that was not used "
+    "here."
 )
+CORRECTED = Path("corrected.toml")
 
 
-def headline(document: Diagnosis, folder: Path = Path()) -> Headline:
-    """What the page and the command say first. folder: of the corrected description."""
+def headline(document: Diagnosis, corrected: Path = CORRECTED, columns: str | None = None) -> Headline:
+    """What the page and the command say first. corrected: the file of the corrected description. columns: the mapping
+    by which the logs were read."""
     gap, said = document.gap, answer(document)
     before, noise = rms(gap.before_nm), rms(gap.noise_floor_nm)
     if document.effects:
@@ -34,7 +37,7 @@ def headline(document: Diagnosis, folder: Path = Path()) -> Headline:
         return Headline(
             "bad", f"{names}: {rest if len(document.effects) == 1 else rest.replace('explains', 'explain')}.",
             percent(abs(gap.shrink)), f"{shrinks} gap on held-out data ({goes})",
-            said.check[0] if said.check else _step(document.online, folder / "corrected.toml"),
+            said.check[0] if said.check else _step(document.online, corrected, columns),
         )  # fmt: skip
     of = f"the noise of the torque signal: {significant(before)} {gap.unit} rms between model and robot"
     times = f"{significant(before / noise, 2)} times" if noise else "no"
@@ -52,8 +55,9 @@ def _named(effect: NamedEffect) -> str:
     return placed(effect.name, effect.joints) + (f" (or {others})" if others else "")
 
 
-def _step(online: OnlineTrial | None, corrected: Path) -> str:
+def _step(online: OnlineTrial | None, corrected: Path, columns: str | None) -> str:
     known = online.identified if online else None
     if online and known and online.corrected and standing(known, online.corrected, online.changes) == "worse":
         return KEEP
-    return TRY.format(corrected=corrected)
+    read_by = ("--columns", columns) if columns else ()
+    return TRY.format(words=shlex.join(["--robot", str(corrected), *read_by]))

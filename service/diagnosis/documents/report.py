@@ -20,7 +20,7 @@ from service.identification.frequency import cross_density
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
 from service.model.torque import predict
-from service.pages import logarithmic, under_buttons, write_page
+from service.pages import Headline, logarithmic, under_buttons, write_page
 from service.pages.palette import EFFECTS, Colour
 
 BINS = 24
@@ -31,8 +31,8 @@ FIXED = {
 BEYOND = "structure that is not in the catalogue"
 
 
-def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
-    """Write the report of a diagnosis."""
+def write_report(findings: Findings, document: Diagnosis, path: Path, said: Headline | None = None) -> None:
+    """Write the report of a diagnosis. said: what it says first, where that names files (`headline`)."""
     plots = {
         "Gap over time, before and after": gap_over_time(findings),
         **of_document(document),
@@ -40,7 +40,7 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
         "Residual over the workspace": _workspace(findings),
         "Spectrum of the residual (grey: above the analysis band)": _spectrum(findings),
     }
-    write_diagnosis(document, worst_second(findings), plots, path)
+    write_diagnosis(document, worst_second(findings), plots, path, said)
 
 
 def of_document(document: Diagnosis) -> dict[str, go.Figure | None]:
@@ -55,13 +55,15 @@ def of_document(document: Diagnosis) -> dict[str, go.Figure | None]:
 
 
 def write_diagnosis(
-    document: Diagnosis, first: tuple[str, go.Figure] | None, plots: dict[str, go.Figure | None], path: Path
-) -> None:
-    """Write the page of a document with plots by title, the `first` of them open."""
+    document: Diagnosis, first: tuple[str, go.Figure] | None, plots: dict[str, go.Figure | None], path: Path,
+    said: Headline | None = None,
+) -> None:  # fmt: skip
+    """Write the page of a document with plots by title, the `first` of them open. said: see `write_report`."""
     _, *rest = paragraphs(document, figures=False)
     write_page(
-        "diagnosis", path, headline(document), document=document, answer=answer(document), paragraphs=rest, first=first,
-        plots=plots, said=ONLINE, in_words=in_words, base_in_words=base_in_words, share_of_gap=share_of_gap,
+        "diagnosis", path, said or headline(document), document=document, answer=answer(document), paragraphs=rest,
+        first=first, plots=plots, said=ONLINE, in_words=in_words, base_in_words=base_in_words,
+        share_of_gap=share_of_gap,
     )  # fmt: skip
 
 

@@ -54,8 +54,8 @@ def test_not_a_number_is_flagged_and_kept(own_csv: Path, value: str) -> None:
     assert len(trace) == 200
     assert not np.isfinite(trace.position[15, 1])
     assert not np.isfinite(trace.torque[38, 1])
-    assert "position of joint 2: 1 values missing or not finite: line 17" in messages(trace)
-    assert "torque of joint 2: 1 values missing or not finite: line 40" in messages(trace)
+    assert "position of joint 2: 1 value missing or not finite: line 17" in messages(trace)
+    assert "torque of joint 2: 1 value missing or not finite: line 40" in messages(trace)
     assert (trace.samples()["flags"] == trace.flags).all()
 
 
@@ -74,7 +74,7 @@ def test_time_going_back(own_csv: Path) -> None:
     assert flagged(trace, SampleFlag.TIME_BACKWARDS) == [100]
     assert trace.time[98] == 0.05
     assert flagged(trace, SampleFlag.GAP_BEFORE) == [101]  # the stamp 0.098 is missing
-    assert "time goes back 1 times: line 100 (0.05 s after 0.097 s)" in messages(trace)
+    assert "time goes back 1 time: line 100 (0.05 s after 0.097 s)" in messages(trace)
 
 
 def test_repeated_stamps(own_csv: Path) -> None:
@@ -84,14 +84,14 @@ def test_repeated_stamps(own_csv: Path) -> None:
     trace = read_trace(spoil(own_csv, change))
     assert flagged(trace, SampleFlag.REPEATED) == [61, 62]
     assert len(trace) == 202
-    assert "2 stamps or sequence numbers repeated: lines 61, 62 (0.058 s)" in messages(trace)
+    assert "stamp or sequence number repeated 2 times: lines 61, 62 (0.058 s)" in messages(trace)
 
 
 def test_a_gap(own_csv: Path) -> None:
     trace = read_trace(spoil(own_csv, lambda lines: lines.__delitem__(slice(80, 90))))
     assert flagged(trace, SampleFlag.GAP_BEFORE) == [81]
     assert flagged(trace, SampleFlag.JUMP) == []  # ten cycles of motion are no jump
-    assert "1 gaps, 10 cycles of 1 ms missing: before line 81 (longest 11 ms)" in messages(trace)
+    assert "1 gap, 10 cycles of 1 ms missing: before line 81 (longest 11 ms)" in messages(trace)
 
 
 def test_jitter_is_no_gap(own_csv: Path) -> None:
@@ -198,7 +198,7 @@ def test_rows_without_a_stamp_and_blank_lines_are_left_out_and_told(own_csv: Pat
 
     trace = read_trace(spoil(own_csv, change))
     assert len(trace) == 198
-    assert "2 rows without a possible time stamp were left out: lines 50, 100" in messages(trace)
+    assert "left out 2 rows without a possible time stamp: lines 50, 100" in messages(trace)
     assert "2 gaps, 2 cycles of 1 ms missing: before lines 51, 101" in messages(trace)
 
 
@@ -207,7 +207,7 @@ def test_a_stamp_that_no_clock_gives_is_left_out_and_told(own_csv: Path) -> None
         field(lines, 50, 0, "1e308")
 
     trace = read_trace(spoil(own_csv, change))
-    assert "1 rows without a possible time stamp were left out: line 50" in messages(trace)
+    assert "left out 1 row without a possible time stamp: line 50" in messages(trace)
     assert np.all(np.diff(trace.time_ns) > 0)
 
 
@@ -233,8 +233,8 @@ def test_time_that_does_not_rise(own_csv: Path) -> None:
         ("a.csv", bytes(range(1, 256)) * 40, "is missing|is not utf-8 text"),
         ("a.csv.gz", b"\x1f\x8b\x08 broken", "broken gzip file"),
         ("a.csv.gz", gzip.compress(b"time_s\n0\n" * 1000, mtime=0)[:-20], "broken gzip file"),
-        ("a.mcap", b"", "not a whole MCAP file"),
-        ("a.mcap", b"\x7fELF" * 100, "not a whole MCAP file"),
+        ("a.mcap", b"", "not an MCAP file"),
+        ("a.mcap", b"\x7fELF" * 100, "not an MCAP file: it does not start like one$"),
         ("a.docx", b"x", "unknown kind of trace: its name must end in"),
     ],
 )
@@ -251,7 +251,7 @@ def test_no_such_file(tmp_path: Path, name: str) -> None:
 
 
 def test_one_row_is_no_trace(own_csv: Path) -> None:
-    with pytest.raises(TraceError, match="1 samples, at least 2 are needed"):
+    with pytest.raises(TraceError, match="1 sample, at least 2 are needed"):
         read_trace(spoil(own_csv, lambda lines: lines.__delitem__(slice(2, None))))
 
 

@@ -73,7 +73,7 @@ def test_convert_tells_what_is_wrong_with_the_rows(deltatwin: Run, log: Path) ->
     log.write_text("\n".join([*lines[:500], *lines[510:]]) + "\n")
     done = deltatwin("convert", log, "out.mcap")
     assert done.returncode == 0
-    assert f"{log}: 1 gaps, 10 cycles of 1 ms missing: before line 501" in done.stderr
+    assert f"{log}: 1 gap, 10 cycles of 1 ms missing: before line 501" in done.stderr
     assert read_trace(log.parent / "out.mcap").flags.any()
 
 
@@ -217,11 +217,39 @@ def test_no_prediction_takes_the_place_of_a_log(deltatwin: Run, tmp_path: Path, 
     assert not (tmp_path / "told").exists()
 
 
+@pytest.mark.parametrize(
+    ("rows", "value", "note"),
+    [
+        (3000, "0.3", "no joint moves; position_1, position_2, position_3, torque_1, torque_2, torque_3: the same"),
+        (3000, "{moving}", "note: position_3, torque_3: the same value in every row"),
+        (300, "{moving}", "note: lasts 0.299 s: a model is fitted to 0.4 s or more"),
+    ],
+)  # fmt: skip
+def test_inspect_says_what_no_single_row_shows(
+    deltatwin: Run, tmp_path: Path, rows: int, value: str, note: str
+) -> None:
+    head = ["time_s", *(f"position_{j}_rad" for j in (1, 2, 3)), *(f"torque_{j}_nm" for j in (1, 2, 3))]
+    lines = [",".join(head)]
+    for row in range(rows):
+        two = [value.format(moving=0.3 * np.sin(0.01 * row))] * 2
+        lines.append(",".join([f"{0.001 * row:.3f}", *two, "0.3", *two, "5"]))
+    (tmp_path / "still.csv").write_text("\n".join([*lines, ""]))
+    done = deltatwin("inspect", "still.csv", "--robot", "d3-1200")
+    assert note in done.stdout.replace("\n", " ")
+    assert "nothing wrong found" not in done.stdout
+    assert ("next: deltatwin identify" in done.stdout) is (rows > 400 and value != "0.3")
+
+
 def test_inspect_ends_with_what_can_be_done_with_what_it_read(deltatwin: Run, tmp_path: Path, log: Path) -> None:
     (tmp_path / "empty.csv").touch()
     (tmp_path / "foreign.csv").write_text("a,b\n1,2\n", encoding="utf-8")
     assert "next:" not in deltatwin("inspect", "missing.csv", "empty.csv").stdout
     assert "next: deltatwin import foreign.csv\n" in deltatwin("inspect", "missing.csv", "foreign.csv").stdout
+    (tmp_path / "text.mcap").write_text("a,b\n1,2\n", encoding="utf-8")
+    (tmp_path / "binary.csv").write_bytes(bytes(range(256)))
+    unread = deltatwin("inspect", "text.mcap", "binary.csv", "--robot", "d3-1200")
+    assert "text.mcap: not an MCAP file: it does not start like one\n" in unread.stderr
+    assert "next:" not in unread.stdout
     read = deltatwin("inspect", "foreign.csv", log.name, "--robot", "d3-1200")
     assert read.returncode == 1
     assert "next: deltatwin identify log.csv --robot d3-1200 --out identified.toml\n" in read.stdout

@@ -12,6 +12,7 @@ import pytest
 
 from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
+from service.diagnosis.documents.headline import headline
 from service.diagnosis.documents.over_time import _short, _thinned, worst_second
 from service.diagnosis.documents.report import write_report
 from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs
@@ -143,6 +144,17 @@ def test_the_first_plot_is_the_second_with_the_largest_gap(findings):
     expected = findings.after[index][problem.joints_of_rows[index] == 0] * problem.sigma[0]
     np.testing.assert_allclose(gap[mine], expected, atol=2e-4)
     assert np.isnan(gap[~mine]).all()
+
+
+def test_the_next_step_finds_the_correction_and_reads_logs_as_these_were_read(findings, tmp_path: Path):
+    found = document.document(findings)
+    said = headline(found, Path("my cell/corrected.toml"), "scope.toml")
+    assert "`deltatwin evaluate LOG --robot 'my cell/corrected.toml' --columns scope.toml`" in said.step
+    write_report(findings, found, tmp_path / "report.html", said)
+    assert "deltatwin evaluate LOG --robot &#39;my cell/corrected.toml&#39; --columns scope.toml" in (
+        tmp_path / "report.html"
+    ).read_text("utf-8")
+    assert "--columns" not in headline(found).step
 
 
 def test_a_fixed_value_has_no_interval():

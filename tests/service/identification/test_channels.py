@@ -9,17 +9,14 @@ import pytest
 
 from drivers.trace.tables import Table
 from schemas.errors import DataError
+from schemas.units import POSITION_UNITS, TORQUE_UNITS, tokens
 from service.identification import channels
 from service.identification.channels import (
-    POSITION_UNITS,
-    TORQUE_UNITS,
     clocks_of,
     guess,
     no_torque,
     rate_hz,
-    said_unit,
     time_unit,
-    tokens,
 )
 
 ROWS = 400
@@ -176,7 +173,7 @@ def test_the_files_own_unit_goes_first() -> None:
     made = Table(Path("a"), "text", {"t_ms": STAMPS}, {"t_ms": "s"})
     assert time_unit(made, "t_ms") == ("s", True)
     assert (
-        said_unit(Table(Path("a"), "t", {"pos [deg]": STAMPS}, {"pos [deg]": "rad"}), "pos [deg]", POSITION_UNITS)
+        Table(Path("a"), "t", {"pos [deg]": STAMPS}, {"pos [deg]": "rad"}).said_unit("pos [deg]", POSITION_UNITS)
         == "rad"
     )
 
@@ -195,7 +192,7 @@ def test_the_files_own_unit_goes_first() -> None:
     ],
 )  # fmt: skip
 def test_a_unit_stands_in_brackets_or_at_the_end_of_a_name(name: str, known: dict[str, str], unit: str | None) -> None:
-    assert said_unit(Table(Path("a"), "text", {name: STAMPS}), name, known) == unit
+    assert Table(Path("a"), "text", {name: STAMPS}).said_unit(name, known) == unit
 
 
 def test_files_side_by_side_say_what_they_hold_by_their_names() -> None:
@@ -326,12 +323,12 @@ def test_a_unit_with_a_prefix_is_not_the_unit_without(text: str, position: str |
         Table(Path("a"), "text", {"x": STAMPS}, {"x": text}), Table(Path("a"), "text", {f"x [{text}]": STAMPS}),
     ):  # fmt: skip
         (name,) = made.columns
-        assert said_unit(made, name, POSITION_UNITS) == position
-        assert said_unit(made, name, TORQUE_UNITS) == torque
-        assert channels.unknown_unit(made, name) is None
+        assert made.said_unit(name, POSITION_UNITS) == position
+        assert made.said_unit(name, TORQUE_UNITS) == torque
+        assert made.unknown_unit(name) is None
     strange = Table(Path("a"), "text", {"x [stone furlong]": STAMPS, "y[0]": STAMPS, "z [datetime]": STAMPS})
-    assert channels.unknown_unit(strange, "x [stone furlong]") == "stone furlong"
-    assert channels.unknown_unit(strange, "y[0]") is None
+    assert strange.unknown_unit("x [stone furlong]") == "stone furlong"
+    assert strange.unknown_unit("y[0]") is None
 
 
 @pytest.mark.parametrize("text", ["min", "h", "100ns", "cycles"])

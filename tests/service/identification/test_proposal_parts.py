@@ -148,7 +148,10 @@ def test_a_scale_near_one_or_the_gear_is_that(
             "side" in read_as
         )
     else:
-        assert found.doubts == [f"one unit of torque is assumed to be {scale:.4g} N m, {readings.WHENCE}"]
+        joint = (
+            f"one unit of torque is assumed to be {scale:.4g} N m at the joint ({scale / GEAR:.4g} N m of the motor)"
+        )
+        assert found.doubts == [f"{joint}, {readings.WHENCE}"]
 
 
 @pytest.mark.parametrize(
@@ -170,7 +173,11 @@ def test_a_unit_without_its_constant_gets_it_by_the_masses(
     assert found.torque == read_as
     doubted = [doubt for doubt in found.doubts if "rated torque right?" not in doubt]  # at the joint, see test_proposal
     known = None not in torque.values()
-    assert doubted == ([] if known else [f"one {torque['unit']} is assumed to be 1.1 N m, {readings.WHENCE}"])
+    assert doubted == (
+        []
+        if known
+        else [f"one {torque['unit']} is assumed to be 1.1 N m at the joint (0.044 N m of the motor), {readings.WHENCE}"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -192,8 +199,9 @@ def test_newton_metres_that_nobody_said_are_sure_where_the_fit_goes_with_them(
     sure = why == "; the fit confirms it"
     assert (line in found.reasons, line in found.doubts) == (sure, not sure)
     told = read(monkeypatch, geared, ranked)
-    said = f"torques are N m according to the file{why}"  # and a poor fit says nothing against what stands there
-    assert (said in told.doubts) is (not sure and share < 0.1)
+    said = f"read as N m, the torques are {scale / by_masses:.3g} times those that the masses need"
+    contradicted = [one for one in told.doubts if one.startswith(said)]  # and a poor fit says nothing against the file
+    assert len(contradicted) == (not sure and share < 0.1)
     assert not any(one.startswith("torques are assumed") for one in [*told.reasons, *told.doubts])
 
 
