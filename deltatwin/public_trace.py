@@ -18,6 +18,7 @@ from schemas.axes_description import Description
 from schemas.columns import Columns
 from schemas.errors import DataError, TraceError
 from schemas.messages import NANOSECONDS
+from schemas.words import counted
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -149,9 +150,9 @@ class Trace(recorded.Trace):
     def __repr__(self) -> str:
         joints = self.position.shape[1]
         rate = 1e-3 / self.period if len(self) > 1 else np.nan
-        wrong = f", {np.count_nonzero(self.flags)} rows flagged" if self.flags.any() else ""
+        wrong = f", {counted(int(np.count_nonzero(self.flags)), 'row')} flagged" if self.flags.any() else ""
         return (
-            f"<Trace {self.name}: {len(self)} samples of {joints} joint{'s' if joints > 1 else ''}, "
+            f"<Trace {self.name}: {counted(len(self), 'sample')} of {counted(joints, 'joint')}, "
             f"{rate:.3g} kHz, {np.ptp(self.time):.4g} s{wrong}>"
         )
 

@@ -162,6 +162,6 @@ def _events(result: Evaluation, unit: str) -> str:
     strongest = sorted(result.events, key=lambda event: -event.level)[:MOST_EVENTS]
     told = "; ".join(f"joint {e.joint + 1} {e.start:.2f} to {e.end:.2f} s ({e.level:.3g} {unit})" for e in strongest)
     return (
-        f"{result.trace.path}: {len(result.events)} events far above the rest of the residual ("
+        f"{result.trace.path}: {counted(len(result.events), 'event')} far above the rest of the residual ("
         f"{100 * share:.0f} % of the motion){keeping}; strongest: {told}"
     )

@@ -42,6 +42,7 @@ def command(
     """
     from schemas.errors import DataError
     from schemas.files import make_folder, write_text
+    from schemas.words import counted
 
     with bars() as progress:
         task = progress.add_task("surveying the logs", total=None)
@@ -61,7 +62,9 @@ def command(
         robots = members(logs, robot)
         make_folder(out)
         days = sum(len(member.days) for member in robots)
-        progress.update(task, description=f"{len(robots)} robots, {days} days", total=len(robots) + days)
+        progress.update(
+            task, description=f"{counted(len(robots), 'robot')}, {counted(days, 'day')}", total=len(robots) + days
+        )
         with workers(backend.value, jobs, scheduler):
             fleet = survey(robots, Settings(out, columns, effects), lambda: progress.advance(task))
         progress.update(task, description="writing")

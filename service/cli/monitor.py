@@ -46,6 +46,7 @@ def command(
     from schemas.files import check_folder
     from schemas.messages import Role
     from schemas.robot import Robot
+    from schemas.words import counted
     from service.cli.progress import counting
     from service.monitor.monitor_node import Monitor, run
     from service.monitor.writer import WriterThread
@@ -72,7 +73,7 @@ def command(
     typer.echo(summary(monitor))
     if writer.failed:
         raise typer.Exit(1)
-    conclude(f"wrote {writer.written} messages to {path}", "inspect", path)
+    conclude(f"wrote {counted(writer.written, 'message')} to {path}", "inspect", path)
 
 
 class _Silence:

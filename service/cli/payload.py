@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from schemas.words import percent
+from schemas.words import counted, percent
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import prediction_files, reading
@@ -168,5 +168,5 @@ def _scored(scores: list[Score]) -> list[Table]:
     )  # fmt: skip
     return [
         table(head, each, "payload: delays after the true pick or release", figures=slice(None)),
-        table(("", "estimator", "paper's recursion"), summary, f"{len(scores)} picks"),
+        table(("", "estimator", "paper's recursion"), summary, counted(len(scores), "pick")),
     ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from schemas.words import counted
 from service.cli.options import AsJson
 from service.cli.output import conclude
 
@@ -53,7 +54,7 @@ def _document(one: Compared) -> dict[str, Any]:
 def _said(one: Compared) -> str:
     parts = [f"{one.answers} answers, {one.alike} bit-identical"]
     if one.missing:
-        parts.append(f"{one.missing} samples without an answer")
+        parts.append(f"{counted(one.missing, 'sample')} without an answer")
     if one.alike < one.answers:
         off = ", ".join(f"{name} {value:.3g}" for name, value in one.largest.items() if value)
         parts.append(f"largest differences: {off or 'none in a value with a unit'}")

@@ -45,6 +45,7 @@ def command(
     from drivers.bus import open_bus
     from drivers.view.server import LiveView, run
     from schemas.messages import Role
+    from schemas.words import counted
 
     with (
         open_bus(description.name, Role.OBSERVER, zenoh_config, insecure, ros_domain) as bus,
@@ -54,4 +55,4 @@ def command(
         try:
             run(view, interrupted)
         except KeyboardInterrupt:
-            typer.echo(f"view: stopped; {view.shown} messages shown", err=True)
+            typer.echo(f"view: stopped; {counted(view.shown, 'message')} shown", err=True)

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.motion import Payload
 from schemas.robot import Robot
 from schemas.trace import Trace
-from schemas.words import percent, significant
+from schemas.words import counted, percent, significant
 from service.estimator.recursion import FORGETTING
 from service.experiment.diagrams import IDENTIFICATION, WEIGHING
 from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section, by_joint
@@ -241,9 +241,9 @@ def _table_2(found: PaperResult) -> PageTable:
         for joint in range(3)
     )
     note = (
-        f"{len(found.scores)} picks of {found.scores[0].truth.mass:g} kg between two conveyors. Every sample, "
-        f"unfiltered; m̂_p by the paper's recursion, forgetting factor {found.forgetting:g} per millisecond, as known "
-        "at each sample. The published values are not known to us."
+        f"{counted(len(found.scores), 'pick')} of {found.scores[0].truth.mass:g} kg between two conveyors. Every "
+        f"sample, unfiltered; m̂_p by the paper's recursion, forgetting factor {found.forgetting:g} per millisecond, as "
+        "known at each sample. The published values are not known to us."
     )
     head = ("τ − τ̂ / N m", "m_p = 0: μ", "m_p = 0: σ", "m_p = m̂_p: μ", "m_p = m̂_p: σ")
     return PageTable(f"Table 2: error of {FRICTION} over υ_P without and with the estimated payload", head, rows, note)

@@ -183,7 +183,7 @@ def test_what_is_wrong_with_arrays_is_one_line_or_a_flag() -> None:
     found = dt.Trace.from_arrays(time, ones, broken)
     assert found.flags[500] & SampleFlag.NOT_A_NUMBER
     assert "row 500" in found.findings[0].message
-    assert "1 rows flagged" in repr(found)
+    assert "1 row flagged" in repr(found)
 
 
 def test_what_is_no_trace_is_said(demo: tuple) -> None:
