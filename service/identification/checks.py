@@ -7,7 +7,7 @@ else than its user thinks: a payload on the platform, trajectories all alike, to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -59,7 +59,17 @@ def check(logs: Sequence[NormalEquations], gear_ratio: float) -> None:
         DataError: naming the logs, the joints and what is wrong with them.
     """
     _refuse_copies(logs)
-    readings = {log.name: _reading(log.gram.sum(axis=0), gear_ratio) for log in logs}
+    refuse_misread({log.name: log.gram for log in logs}, gear_ratio)
+
+
+def refuse_misread(grams: Mapping[str, np.ndarray], gear_ratio: float) -> None:
+    """Refuse logs whose torque fits much better in another order, with another sign or on the other side of the gear.
+    grams: (B, 3, COLUMNS, COLUMNS) by the name of the log, see `NormalEquations`.
+
+    Raises:
+        DataError: naming the logs, the joints and what is wrong with them.
+    """
+    readings = {name: _reading(gram.sum(axis=0), gear_ratio) for name, gram in grams.items()}
     wrong = {name: reading for name, reading in readings.items() if reading}
     if wrong:
         first = next(iter(wrong.values()))

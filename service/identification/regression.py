@@ -68,7 +68,7 @@ def summarise(model: DeltaModel, trace: Trace) -> NormalEquations:
     parts = segments(trace)
     recordings = [Recording(thin(part), mechanism, 0, trace.path.name) for part in parts]
     try:
-        gram = np.concatenate([_blocks(model, recording) for recording in recordings])
+        gram = products(model, recordings)
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
     errors = position_errors(recordings, [trace])
@@ -83,6 +83,15 @@ def regressors(recording: Recording) -> np.ndarray:
     """
     speed, rigid = recording.segment.theta_dot[..., None], recording.rigid
     return np.concatenate([rigid.columns, speed, np.sign(speed), rigid.known[..., None]], axis=-1)
+
+
+def products(model: DeltaModel, recordings: Sequence[Recording]) -> np.ndarray:
+    """(B, 3, COLUMNS, COLUMNS) of a log, see `NormalEquations`.
+
+    Raises:
+        PoseError: positions that are no pose of the robot.
+    """
+    return np.concatenate([_blocks(model, recording) for recording in recordings])
 
 
 def _blocks(model: DeltaModel, recording: Recording) -> np.ndarray:

@@ -20,6 +20,7 @@ from schemas.trace import Trace
 from service.estimator.payload.payload_state import SMALLEST_CHANGE, UNCALIBRATED
 from service.estimator.payload.verdict import EVENT_SIGMAS
 from service.estimator.recursion import FORGETTING, fixed_forgetting
+from service.identification.known_torque import refuse_unlike
 from service.model import kinematics
 from service.model.nominal import pack
 from service.model.prediction import Motion, motion, predict_along
@@ -148,8 +149,13 @@ def as_known(samples: np.ndarray, result: np.ndarray) -> Weighed:
 
 
 def payload_history(robot: Robot, trace: Trace) -> PayloadHistory:
-    """What `weighed` says of `trace`, and the paper's recursion. Raises the same."""
+    """What `weighed` says of `trace`, and the paper's recursion.
+
+    Raises:
+        TraceError, DataError: as `weighed`, and `refuse_unlike`.
+    """
     found, along = weighed(robot, trace), motion(trace)
+    refuse_unlike(robot, trace)
     torque = predict_along(robot, trace, along)["M_Id+F"]
     return PayloadHistory(**vars(found), recursion=recursion(robot, trace, along, torque))
 
