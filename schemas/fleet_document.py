@@ -87,6 +87,11 @@ class RobotHistory(DocumentPart):
     changes: list[Change] = []
 
     @property
+    def compared(self) -> bool:
+        """Whether a day other than that of its reference was judged: without one nothing can have changed."""
+        return any(day.judged and day.day != self.reference_of for day in self.days)
+
+    @property
     def unusable(self) -> list[tuple[str, str]]:
         """(log, day or robot; why) of all that could not be used."""
         days = [(f"{self.robot}, {day.day}", day.error) for day in self.days if day.error and not self.error]

@@ -100,9 +100,10 @@ def _stamps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
         lost = np.maximum(np.rint(ahead[gap - 1] / period) - 1, 0)
         if sequenced is not None:
             lost = np.maximum(lost, sequenced[gap - 1] - 1)
+        cycles = "1 cycle" if lost.sum() == 1 else f"{lost.sum():.9g} cycles"  # of a stamp that is garbage: 1e150
         yield Finding(
             SampleFlag.GAP_BEFORE,
-            f"{counted(len(gap), 'gap')}, {counted(int(lost.sum()), 'cycle')} of {period * 1e3:.6g} ms missing: "
+            f"{counted(len(gap), 'gap')}, {cycles} of {period * 1e3:.6g} ms missing: "
             f"before {rows.name(gap)} (longest {ahead[gap - 1].max() * 1e3:.6g} ms)",
             gap,
         )

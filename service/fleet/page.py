@@ -42,7 +42,7 @@ def headline(fleet: Fleet, folder: Path) -> Headline:
         return Headline("open", f"No day of {robots} could be judged.", number, of, step)
     there = [(robot, change) for robot, change in found(fleet) if not change.gone]
     if not there:
-        return Headline("good", f"No change in {robots}.", number, of, "nothing; judge the next day's logs.")
+        return _unchanged(fleet, robots, number, of)
     changed = list(dict.fromkeys(robot for robot, _ in there))
     robot, first = there[0]
     where = f" in {named_joints(first.joints)}" if first.joints else ""
@@ -51,6 +51,17 @@ def headline(fleet: Fleet, folder: Path) -> Headline:
         "bad", said, str(len(changed)), f"of {robots} to look at ({number} {of})",
         f"look at {robot}: {first.title}{where}, since {first.since}; its days are in {folder}/robots/{robot}.",
     )  # fmt: skip
+
+
+def _unchanged(fleet: Fleet, robots: str, number: str, of: str) -> Headline:
+    """No change is a verdict on those alone of whom another day than that of the reference was judged."""
+    without = [robot.robot for robot in fleet.robots if not robot.compared]
+    if not without:
+        return Headline("good", f"No change in {robots}.", number, of, "nothing; judge the next day's logs.")
+    compared = len(fleet.robots) - len(without)
+    said = f"No change in {compared} of {robots}" if compared else "No robot could be compared with its reference"
+    step = f"record a day of {', '.join(without)} that can be compared; what was wrong is below."
+    return Headline("open", f"{said}; not compared: {', '.join(without)}.", number, of, step)
 
 
 def found(fleet: Fleet) -> list[tuple[str, Change]]:
