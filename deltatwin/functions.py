@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Literal, overload
 
 import schemas.trace as recorded
+from deltatwin.given import Traces, as_list, as_path, described, logs_of
 from deltatwin.public_trace import Mapping as ColumnMapping
-from deltatwin.public_trace import Trace, as_list
+from deltatwin.public_trace import Trace
 from deltatwin.results import (
     DiagnosisResult,
     EvaluationResult,
@@ -25,8 +26,6 @@ from schemas.columns import Columns
 from schemas.errors import DataError
 from schemas.questions import Question, as_delta
 from schemas.robot import Robot
-
-Traces = recorded.Trace | Sequence[recorded.Trace]
 
 __all__ = [
     "Description", "diagnose", "evaluate", "identify", "load_demo", "load_robot", "payload", "read_trace", "rollout",
@@ -55,8 +54,8 @@ def read_trace(path: str | Path, robot: Description | None = None, columns: Colu
         >>> log.torque.shape  # doctest: +SKIP
         (8001, 3)
     """
-    mapping = columns if columns is None or isinstance(columns, Columns) else files.find_columns(columns)
-    return Trace.of(files.read_trace(path, robot, mapping))
+    mapping = columns if columns is None or isinstance(columns, Columns) else files.find_columns(as_path(columns))
+    return Trace.of(files.read_trace(as_path(path), None if robot is None else described(robot), mapping))
 
 
 def load_robot(path: str | Path, effects: str | Path | None = None) -> Description:
@@ -77,7 +76,7 @@ def load_robot(path: str | Path, effects: str | Path | None = None) -> Descripti
         >>> dt.load_robot("d3-1200").geometry.active_link_length  # m
         0.4
     """
-    return load_description(path, None if effects is None else Path(effects))
+    return load_description(as_path(path), None if effects is None else as_path(effects))
 
 
 def load_demo() -> tuple[Robot, Trace]:
@@ -110,7 +109,7 @@ def save_robot(robot: Description, path: str | Path, template: str | Path | None
     Raises:
         StorageError: the file cannot be written.
     """
-    save_description(robot, Path(path), None if template is None else Path(template))
+    save_description(described(robot), as_path(path), None if template is None else as_path(template))
 
 
 def identify(
@@ -143,7 +142,7 @@ def identify(
     """
     from service.identification.of_logs import identify_logs
 
-    logs = as_list(traces)
+    logs = logs_of(described(robot), traces)
     result, figures = identify_logs(robot, logs, method, carried)
     names = tuple(log.name for log in logs)
     return IdentificationResult(result.robot, result.warnings, names, result.fit, tuple(figures))
@@ -181,9 +180,9 @@ def diagnose(
     from service.identification.copies import refuse_copies
     from service.model.effects import catalogue
 
-    logs, kept = as_list(traces), as_list(tests, least=0)
+    logs, kept = logs_of(described(robot), traces), logs_of(robot, tests, least=0)
     refuse_copies([*logs, *kept])
-    findings = find(robot, logs, catalogue(None if effects is None else Path(effects)), progress, baseline, kept)
+    findings = find(robot, logs, catalogue(None if effects is None else as_path(effects)), progress, baseline, kept)
     tried = online_trial(findings, logs, kept, [])
     return DiagnosisResult(
         corrected(findings), document(findings, kept, None, tried, frequency_response(findings)), findings
@@ -211,7 +210,7 @@ def evaluate(robot: Description, traces: Traces) -> EvaluationResult:
     """
     from service.identification.evaluation import evaluate as compare
 
-    return EvaluationResult(robot, tuple(compare(robot, trace) for trace in as_list(traces)))
+    return EvaluationResult(robot, tuple(compare(robot, trace) for trace in logs_of(described(robot), traces)))
 
 
 @overload
@@ -243,6 +242,7 @@ def payload(robot: Description, trace: recorded.Trace, frame: str | None = None)
         >>> len(picked.mass) == len(picked.time)
         True
     """
+    (trace,) = logs_of(described(robot), [trace])
     if not isinstance(robot, Robot):
         from service.identification.log_load import load_on
 
@@ -306,10 +306,18 @@ def rollout(
         DataError: no window of that length, different robots, or the sign of a torque is wrong.
         RobotError: `commands` for a machine that is not a Delta.
     """
-    named: dict[str, Description] = dict(robots) if isinstance(robots, Mapping) else {robots.name: robots}
+    named: dict[str, Description] = {}
+    if isinstance(robots, Mapping):
+        named |= {name: described(one, name) for name, one in robots.items()}
+    else:
+        named[described(robots, "one robot, or several in a dict").name] = robots
     if not named:
         raise DataError("rollout: no robot is given")
+    if not isinstance(horizon, int | float):
+        raise DataError(f"horizon: {horizon!r} is not a number of seconds")
     logs = as_list(traces)
+    for one in named.values():
+        logs_of(one, logs)
     others = [(name, one) for name, one in named.items() if not isinstance(one, Robot)]
     if others and not commands:
         from service.rollout import joints

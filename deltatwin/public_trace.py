@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import schemas.trace as recorded
+from deltatwin.given import as_path, described
 from drivers.trace import find_columns
 from drivers.trace.csv_file import own_columns, table_of
-from drivers.trace.from_columns import assemble, plan
+from drivers.trace.from_columns import assemble, plan, stamped
 from drivers.trace.quality import RowNames, check
 from schemas.axes_description import Description
 from schemas.columns import Columns
-from schemas.errors import DataError, TraceError
+from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
 from schemas.words import counted
 
@@ -87,6 +87,7 @@ class Trace(recorded.Trace):
             TraceError: arrays that do not match, do not contain numbers, or are not a recording: time that mostly
                 does not rise, positions out of any range.
         """
+        robot = None if robot is None else described(robot)
         clock, epoch_ns = _clock(time, name)
         channels = {"position": position, "torque": torque}
         channels |= {"position_command": position_command, "torque_command": torque_command}
@@ -101,18 +102,23 @@ class Trace(recorded.Trace):
         }
         if gripper is not None:
             single["gripper"] = single["gripper"].astype(np.uint32)
+        rows, left_out = stamped(clock, RowNames("row", np.arange(len(clock))))
+        if len(rows) == 0:
+            raise TraceError(f"{name}: no sample has a time")
+        clock = clock[rows]
+        arrays, single = ({key: one[rows] for key, one in given.items()} for given in (arrays, single))
         trace = recorded.Trace(
             Path(name), clock, arrays["position"], arrays["torque"], arrays.get("position_command"),
             arrays.get("torque_command"), single.get("fourth_position"), single.get("gripper"), epoch_ns=epoch_ns,
-            angular=angular,
+            angular=angular, findings=tuple(left_out),
         )  # fmt: skip
-        return cls.of(check(trace, RowNames("row", np.arange(len(clock))), robot))
+        return cls.of(check(trace, RowNames("row", rows), robot))
 
     @classmethod
     def from_dataframe(
         cls, frame: Any, *, columns: Mapping | None = None, name: str = "frame", robot: Description | None = None
     ) -> Trace:
-        """A trace from a Polars, pandas or Arrow table, checked like a file.
+        """A trace from a Polars or pandas table, checked like a file.
 
         Args:
             frame: table with the column names of our CSV (`time_s`, `position_1_rad`, `torque_1_nm`, ...), or others.
@@ -124,8 +130,11 @@ class Trace(recorded.Trace):
         Raises:
             TraceError: a column is missing or does not contain numbers, or the table is not a recording.
         """
+        if not hasattr(frame, "columns"):
+            raise TraceError(f"{name}: a {type(frame).__name__} is not a data frame of Polars or pandas")
         names = [str(column) for column in frame.columns]
-        mapping = columns if columns is None or isinstance(columns, Columns) else find_columns(columns)
+        robot = None if robot is None else described(robot)
+        mapping = columns if columns is None or isinstance(columns, Columns) else find_columns(as_path(columns))
         mapping = mapping or own_columns(names, robot)
         if mapping is None:
             raise TraceError(f"{name}: no column position_1_rad; assign the columns with `columns`: {', '.join(names)}")
@@ -187,18 +196,3 @@ def _numbers(key: str, values: Any, name: str) -> np.ndarray:
         return np.array(values, np.float64)
     except (TypeError, ValueError) as error:
         raise TraceError(f"{name}: {key} does not contain numbers: {error}") from None
-
-
-def as_list(traces: recorded.Trace | Sequence[recorded.Trace], least: int = 1) -> list[recorded.Trace]:
-    """One trace, or several, as a list.
-
-    Raises:
-        DataError: fewer than `least`, or what is no trace, naming it.
-    """
-    found = [traces] if isinstance(traces, recorded.Trace) else list(traces)
-    for one in found:
-        if not isinstance(one, recorded.Trace):
-            raise DataError(f"{one!r}: not a trace; read it with deltatwin.read_trace")
-    if len(found) < least:
-        raise DataError("no trace is given")
-    return found

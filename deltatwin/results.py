@@ -13,7 +13,7 @@ import numpy as np
 
 from schemas.axes_description import Description
 from schemas.robot import Robot
-from schemas.words import percent
+from schemas.words import counted, percent
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -76,14 +76,11 @@ class Result(ABC):
         return html(self._title(), [self.conclusion], *self._rows())
 
 
-def _frame(rows: list[dict[str, Any]]) -> pl.DataFrame:
+def _frame(rows: list[dict[str, Any]], keys: Sequence[str] = ()) -> pl.DataFrame:
+    """keys: the columns, which stand where there are no rows, too."""
     from drivers.data_frames import pl
 
-    return pl.DataFrame(rows, infer_schema_length=None)
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
+    return pl.DataFrame(rows, infer_schema_length=None) if rows else pl.DataFrame({key: [] for key in keys})
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,7 +120,7 @@ class IdentificationResult(Result):
         return of_identification(self)
 
     def _title(self) -> str:
-        return f"{self.robot.name} identified on {_count(len(self.traces), 'log')}"
+        return f"{self.robot.name} identified on {counted(len(self.traces), 'log')}"
 
     def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
         head = ("parameter", "value", "std. error", "unit", "verdict")
@@ -178,7 +175,7 @@ class EvaluationResult(Result):
         return of_evaluation(self, trace)
 
     def _title(self) -> str:
-        return f"{self.robot.name} on {_count(len(self.evaluations), 'log')}"
+        return f"{self.robot.name} on {counted(len(self.evaluations), 'log')}"
 
     def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
         found = self.models
@@ -275,13 +272,13 @@ class DiagnosisResult(Result):
 
     def to_frame(self) -> pl.DataFrame:
         """One row per parameter of the effects: effect, joints, probability, parameter, value, low, high, unit."""
+        keys = ("effect", "joints", "probability", "parameter", "value", "low", "high", "unit")
         rows = [
-            {"effect": effect.name, "joints": effect.joints, "probability": effect.probability, "parameter": name,
-             "value": one.value, "low": one.ci95[0], "high": one.ci95[1], "unit": one.unit}
+            (effect.name, effect.joints, effect.probability, name, one.value, *one.ci95, one.unit)
             for effect in self.document.effects
             for name, one in effect.parameters.items()
-        ]  # fmt: skip
-        return _frame(rows)
+        ]
+        return _frame([dict(zip(keys, row, strict=True)) for row in rows], keys)
 
     def plot(self) -> go.Figure:
         """The gap of each joint before and after, on held-out data."""
@@ -300,7 +297,7 @@ class DiagnosisResult(Result):
         write_report(self.findings, self.document, Path(path))
 
     def _title(self) -> str:
-        return f"{self.document.robot}, {_count(len(self.document.traces), 'log')}: {self.document.verdict}"
+        return f"{self.document.robot}, {counted(len(self.document.traces), 'log')}: {self.document.verdict}"
 
     def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
         head = ("effect", "joints", "probability", "of the gap")
@@ -343,7 +340,7 @@ class RolloutResult(Result):
         return growth(self.document)
 
     def _title(self) -> str:
-        return f"{_count(self.document.windows, 'window')} of {1e3 * self.document.horizon_s:.0f} ms"
+        return f"{counted(self.document.windows, 'window')} of {1e3 * self.document.horizon_s:.0f} ms"
 
     def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
         from service.rollout.rollout_page import in_figures
@@ -448,7 +445,7 @@ class JointRolloutResult(Result):
         return of_joint_rollout(self)
 
     def _title(self) -> str:
-        return f"{_count(self.found.windows, 'window')} of {1e3 * self.found.horizon:.0f} ms"
+        return f"{counted(self.found.windows, 'window')} of {1e3 * self.found.horizon:.0f} ms"
 
     def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
         unit = "mrad" if self.found.angular else "mm"

@@ -215,7 +215,7 @@ def _counted(
     Raises:
         TraceError: there are none.
     """
-    rows, left_out = _stamped(stamps, lines)
+    rows, left_out = stamped(stamps, lines)
     notes.extend(left_out)
     if len(rows) == 0:
         raise TraceError(f"{path}: no row has a time stamp in column {columns.time.name!r}")
@@ -244,7 +244,7 @@ def on_other_rows(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(least > 1 and np.count_nonzero(one & other) < ON_ONE_ROW * least)
 
 
-def _stamped(stamps: np.ndarray, lines: RowNames) -> tuple[np.ndarray, list[Finding]]:
+def stamped(stamps: np.ndarray, lines: RowNames) -> tuple[np.ndarray, list[Finding]]:
     """Rows with a stamp, and a finding for those in between that have none. Blank rows behind the last are the end."""
     finite = np.isfinite(stamps)
     rows = np.flatnonzero(finite)

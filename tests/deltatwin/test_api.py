@@ -6,9 +6,11 @@ import doctest
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,12 +19,15 @@ from typer.testing import CliRunner
 import deltatwin as dt
 import deltatwin.functions
 import deltatwin.public_trace
+from deltatwin.results import DiagnosisResult
 from drivers.data_frames import pl
 from replay.demo import LOG, ROBOT
+from schemas.diagnosis import Diagnosis
 from schemas.messages import SampleFlag
 from service.cli.main import app
 from tests.conftest import REPOSITORY
 
+UNTYPED = cast("Any", dt)  # as who checks no types calls it
 LONGEST_REPR = 1200  # characters that a notebook's cell takes without a scroll bar
 
 
@@ -192,10 +197,63 @@ def test_what_is_no_trace_is_said(demo: tuple) -> None:
         dt.identify(robot, [])
     with pytest.raises(dt.DataError, match="no trace is given"):
         dt.evaluate(robot, [])
-    with pytest.raises(dt.DataError, match=r"'picks.csv': not a trace; read it with deltatwin.read_trace"):
+    with pytest.raises(dt.DataError, match=r"'picks.csv' is not a trace; read it with deltatwin.read_trace"):
         dt.identify(robot, ["picks.csv"])  # type: ignore[list-item]
     with pytest.raises(dt.DataError, match="give it only once"):
         dt.diagnose(robot, [trace], tests=[trace])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "what"),
+    [
+        (lambda robot, log: UNTYPED.read_trace(LOG, "d3-1200"), "'d3-1200' is not a description; read it with"),
+        (lambda robot, log: UNTYPED.read_trace(7), "7: a path is needed, as a str or a Path"),
+        (lambda robot, log: UNTYPED.load_robot(None), "None: a path is needed"),
+        (lambda robot, log: UNTYPED.save_robot(None, "a.toml"), "None is not a description"),
+        (lambda robot, log: UNTYPED.identify("d3-1200", log), "'d3-1200' is not a description"),
+        (lambda robot, log: UNTYPED.identify(robot, None), "None is not a trace"),
+        (lambda robot, log: UNTYPED.evaluate("d3-1200", log), "'d3-1200' is not a description"),
+        (lambda robot, log: UNTYPED.payload(robot, None), "None is not a trace"),
+        (lambda robot, log: UNTYPED.payload(robot, [log]), "is not a trace"),
+        (lambda robot, log: UNTYPED.diagnose(log, log), "is not a description"),
+        (lambda robot, log: UNTYPED.rollout([robot, robot], log), "one robot, or several in a dict: .* is not a descr"),
+        (lambda robot, log: UNTYPED.rollout(robot, log, horizon="a"), "horizon: 'a' is not a number of seconds"),
+        (lambda robot, log: UNTYPED.Trace.from_dataframe(None), "a NoneType is not a data frame of Polars or pandas"),
+        (lambda robot, log: UNTYPED.Trace.from_dataframe({"a": [1]}), "a dict is not a data frame"),
+    ],
+)  # fmt: skip
+def test_a_wrong_kind_of_thing_is_an_error_of_one_line(demo: tuple, wrong: Callable, what: str) -> None:
+    with pytest.raises(dt.DeltatwinError, match=what) as told:
+        wrong(*demo)
+    assert "\n" not in str(told.value)
+
+
+def test_a_diagnosis_that_names_nothing_has_a_frame_with_its_columns(demo: tuple) -> None:
+    found = DiagnosisResult(demo[0], Diagnosis.model_construct(effects=[]), cast("Any", None))
+    keys = ["effect", "joints", "probability", "parameter", "value", "low", "high", "unit"]
+    assert (found.to_frame().columns, found.to_frame().height) == (keys, 0)
+
+
+def test_a_log_of_another_machine_is_refused(demo: tuple) -> None:
+    robot, log = demo
+    linear = dt.Trace.from_arrays(log.time, log.position, log.torque, angular=False, name="gantry")
+    two = dt.Trace.from_arrays(log.time, log.position[:, :2], log.torque[:, :2], name="two")
+    for do in (dt.identify, dt.evaluate, dt.payload, dt.diagnose, dt.rollout):
+        with pytest.raises(dt.DataError, match="gantry: 3 joints in m, but demo has 3 in rad"):
+            do(robot, linear)
+        with pytest.raises(dt.DataError, match="two: 2 joints in rad, but demo has 3 in rad"):
+            do(robot, two)
+
+
+def test_a_sample_without_a_time_is_left_out_and_said() -> None:
+    time, ones = np.arange(1000) * 1e-3, 0.1 * np.ones(1000)
+    time[[10, 20]] = np.nan
+    found = dt.Trace.from_arrays(time, ones, ones)
+    assert len(found) == 998
+    assert found.time[10] == time[11]
+    assert any("left out 2 rows without a possible time stamp: rows 10, 20" in one.message for one in found.findings)
+    with pytest.raises(dt.TraceError, match="arrays: no sample has a time"):
+        dt.Trace.from_arrays(np.full(100, np.nan), ones[:100], ones[:100])
 
 
 def test_stamps_of_the_calendar_keep_their_nanoseconds() -> None:
