@@ -67,14 +67,22 @@ def index() -> str:
 def exit_codes() -> str:
     """Exit codes of every command."""
     rows = [
-        ["`0`", "The command succeeded."],
+        [
+            "`0`",
+            "The command succeeded. Commands that run until they are ended (`replay`, `estimate`, `monitor`, `watch`, "
+            "`top`, `view`, `tap`, `segment`, `simulate --live`) end so by Ctrl-C, SIGTERM or a closed terminal, with "
+            "their summary.",
+        ],
         ["`1`", "A known error. One line on stderr names file, key or row, and value."],
         ["`2`", "Wrong usage: an unknown option, a missing argument, a value out of its range."],
         [
             f"`{MISSED}`",
             "Everything ran, but a stated bound does not hold (`blindtest`, `ethercat-demo` and the like).",
         ],
-        [f"`{INTERRUPTED}`", "Ended by Ctrl-C, SIGTERM or a closed terminal. Files written so far are complete."],
+        [
+            f"`{INTERRUPTED}`",
+            "Any other command ended by Ctrl-C, SIGTERM or a closed terminal. Files written so far are complete.",
+        ],
     ]
     text = "# Exit codes\n\nResults go to stdout, progress and errors to stderr. All commands have these codes.\n\n"
     return text + table(["Code", "Meaning"], rows)

@@ -38,7 +38,10 @@ def headline(fleet: Fleet, folder: Path) -> Headline:
     robots, number = counted(len(fleet.robots), "robot"), f"{judged} of {counted(len(days), 'robot day')}"
     of = "judged"
     if not judged:
-        step = "the reasons are below; record motion in which all joints move and reverse."
+        step = "the reasons are below"
+        step += (
+            "." if all(one.error for one in fleet.robots) else "; record motion in which all joints move and reverse."
+        )
         return Headline("open", f"No day of {robots} could be judged.", number, of, step)
     there = [(robot, change) for robot, change in found(fleet) if not change.gone]
     if not there:
