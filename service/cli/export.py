@@ -25,7 +25,14 @@ class Format(StrEnum):
     sheet = "sheet"
 
 
+_CODE = (Format.c, Format.fmu, Format.st)
+ONLY_FOR = {
+    "rate": _CODE, "name": _CODE, "nominal": _CODE, "fmi": (Format.fmu,), "log": (Format.sheet,), "float32": (Format.c,)
+}  # fmt: skip
+
+
 def command(
+    context: typer.Context,
     robot: Annotated[
         Path, typer.Argument(metavar="FILE|NAME", help="Robot description (TOML), identified or corrected")
     ],
@@ -84,8 +91,10 @@ def command(
     from schemas.robot import Robot
     from service.cli.machine_files import write_machine
 
-    if float32 and to is not Format.c:
-        raise typer.BadParameter(f"--float32: only for --to c, not for {to.value}")
+    for option, formats in ONLY_FOR.items():
+        source = context.get_parameter_source(option)
+        if source is not None and source.name == "COMMANDLINE" and to not in formats:
+            raise typer.BadParameter(f"--{option}: only for --to {' or '.join(formats)}, not for {to.value}")
     check_apart(out, robot, *(log or []))
     described = load_description(robot, effects)
     if to in (Format.mjcf, Format.urdf) and not isinstance(described, Robot):

@@ -52,10 +52,19 @@ def test_nothing_in_it_is_of_double_precision(tmp_path: Path) -> None:
     assert "double" not in source
 
 
-def test_it_is_of_c_alone(tmp_path: Path) -> None:
-    told = CliRunner().invoke(app, ["export", str(ROBOT), "--to", "st", "--float32", "--out", str(tmp_path / "t")])
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--to", "st", "--float32"), "--float32: only for --to c, not for st"),
+        (("--to", "mjcf", "--rate", "500"), "--rate: only for --to c or fmu or st, not for mjcf"),
+        (("--to", "c", "--log", "a.csv"), "--log: only for --to sheet, not for c"),
+        (("--to", "c", "--fmi", "3"), "--fmi: only for --to fmu, not for c"),
+    ],
+)
+def test_an_option_of_another_format_is_wrong_usage(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+    told = CliRunner().invoke(app, ["export", str(ROBOT), *options, "--out", str(tmp_path / "t")])
     assert told.exit_code == 2
-    assert "only for --to c, not for st" in told.output
+    assert said in told.output
     assert not (tmp_path / "t").exists()
 
 
