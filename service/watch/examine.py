@@ -19,6 +19,7 @@ from schemas.finding import WatchFinding
 from schemas.trace import Trace
 from schemas.words import words
 from service.diagnosis.documents.document import corrected, document
+from service.diagnosis.documents.text import rms
 from service.diagnosis.pipeline import diagnose
 from service.identification.fit import evaluate
 from service.model.effects import catalogue
@@ -104,10 +105,10 @@ def in_words(finding: WatchFinding) -> str:
     rise = f"{finding.robot}: gap of {named_joints(finding.joints)} higher since {_when(finding.since_s)}"
     verdict, effects = finding.diagnosis.verdict, finding.diagnosis.effects
     if effects:
-        after, left = (float(np.hypot.reduce(values)) for values in (finding.after_nm, finding.left_nm))
+        after, left = rms(finding.after_nm), rms(finding.left_nm)  # as `diagnose` tells it of these stretches
         unit = finding.diagnosis.gap.unit
         rest = "" if verdict == "explained" else "; part of it remains unexplained"
-        gap = f"the correction reduces the gap from {after:.3g} to {left:.3g} {unit}"
+        gap = f"the correction reduces the gap from {after:.3g} to {left:.3g} {unit} rms"
         return f"{rise}: {'; '.join(map(_effect, effects))}; {gap}{rest}"
     if verdict == "within_noise":
         return f"{rise}, but within the noise of the stretch examined"

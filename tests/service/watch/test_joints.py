@@ -139,8 +139,11 @@ def test_friction_of_an_axis_that_comes_on_is_named(unit: str) -> None:
     assert rise is not None
     assert rise.joints.tolist() == [False, True]
     assert rise.since == pytest.approx(ONSET, abs=1.5)
-    (found,) = examine(robot, rise, ()).diagnosis.effects
+    finding = examine(robot, rise, ())
+    (found,) = finding.diagnosis.effects
     assert (found.name, found.joints) == ("friction_level", [2])
+    after, left = (np.sqrt(np.mean(np.square(values))) for values in (finding.after_nm, finding.left_nm))
+    assert f"reduces the gap from {after:.3g} to {left:.3g} {finding.diagnosis.gap.unit} rms" in finding.text
     assert found.parameters["coulomb"].value == pytest.approx(0.4, rel=0.05)
     assert found.parameters["coulomb"].unit == ("N m" if unit == "rad" else "N")
 
