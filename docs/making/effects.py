@@ -23,7 +23,7 @@ from schemas.robot import load_robot
 from service.model.effects import CATALOGUE
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
-from service.model.mechanism import Delta, mechanism_of
+from service.model.mechanism import mechanism_of
 from service.model.scene import Base, Recording, Scene
 from service.model.signals import Segment, lowpass
 from service.model.torque import added, reported
@@ -52,7 +52,6 @@ class Signature:
 def _scenes() -> tuple[Scene, ...]:
     robot = load_robot("d3-1200")
     mechanism = mechanism_of(robot)
-    assert isinstance(mechanism, Delta)
     planner, rng = Planner(robot, PERIOD), np.random.default_rng(1)
     base = Base(np.array([1.0, 1.0, robot.mass.passive_link]), np.full(3, 2.0), np.full(3, 4.0))
     found = []

@@ -25,7 +25,8 @@ from service.model.signals import segments_of, thin
 
 MUCH = 0.2  # of an axis' torque, rms, that is left: more than friction of another kind does on most real arms
 CLEARLY = 0.95  # of what the masses found leave of stretches left out; nearer than this both are as good
-BLOCKS_A_PARAMETER = {"axes": 2, "chain": 1}  # a mass shows in the torque of several joints of an arm
+BLOCKS_PER_PARAMETER = 1  # a mass shows in the torque of several joints of an arm
+BLOCKS_PER_DECOUPLED = 2  # of an axis, whose parameters show in its own torque alone
 
 
 def identify_axes(
@@ -47,7 +48,8 @@ def identify_axes(
     ]
     refuse_dead_torque(recordings)
     seconds = sum(r.segment.period * r.segment.moving.sum(axis=0) for r in recordings)
-    least = BLOCKS_A_PARAMETER[mechanism.kind] * BLOCK * len(base_parameters(mechanism)) / mechanism.joints
+    blocks = BLOCKS_PER_DECOUPLED if mechanism.decoupled else BLOCKS_PER_PARAMETER
+    least = blocks * BLOCK * len(base_parameters(mechanism)) / mechanism.joints
     if np.max(seconds) < least:
         names = ", ".join(trace.path.name for trace in traces)
         raise DataError(

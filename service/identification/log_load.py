@@ -17,7 +17,6 @@ from service.machines import machine_of
 from service.machines.load_fit import SCARCE, WIDEST, Blocks, Body, body_from, information_of
 from service.model.description import hypothesis_of
 from service.model.hypothesis import Hypothesis
-from service.model.mechanism import SerialArm
 from service.model.parameters import Parameters
 from service.model.scene import Recording
 from service.model.signals import Band, one_period, resolved_hz, segments_of, thin
@@ -50,7 +49,6 @@ def load_on(robot: Description, trace: Trace, frame: str | None = None) -> Load:
     machine = machine_of(robot)
     named, body = machine.load(frame)
     mechanism = machine.mechanism
-    assert isinstance(mechanism, SerialArm)
     if robot.identified is None:
         raise DataError(
             f"robot {robot.name}: no [identified] parameters: run `deltatwin identify` on its logs without payload"
@@ -112,9 +110,9 @@ class _Fit:
 
 def _of_load(recording: Recording, hypothesis: Hypothesis, band: Band, body: np.ndarray) -> np.ndarray:
     """(M, n, 10) torque a unit of each parameter of the load, as the log would show it."""
-    segment, mechanism = recording.segment, recording.mechanism
-    assert isinstance(mechanism, SerialArm)
-    torque = mechanism.arm.columns(segment.theta, segment.theta_dot, segment.theta_ddot) @ body
+    segment, tree = recording.segment, recording.mechanism.tree
+    assert tree is not None
+    torque = tree.arm.columns(segment.theta, segment.theta_dot, segment.theta_ddot) @ body
     return band(reported(hypothesis.seen(recording), hypothesis, torque))
 
 

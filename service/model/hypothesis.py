@@ -42,9 +42,10 @@ class Hypothesis:
 
     def seen(self, recording: Recording) -> Scene:
         """A recording from this operating point."""
-        if recording.mechanism.kind != "delta":
+        platform = recording.mechanism.platform
+        if platform is None:
             return Scene(recording, self.base)
-        return Scene(recording, self.base, leaning(recording.delta.model.gravity, correction_of(self.terms).tilt))
+        return Scene(recording, self.base, leaning(platform.model.gravity, correction_of(self.terms).tilt))
 
     @property
     def fits_timing(self) -> bool:

@@ -63,7 +63,11 @@ class Mechanism(Protocol):
     coefficients as described, zero where they are not; they stand where the data do not tell. links: (k,) bool, those
     that are of links whose masses are described. closed: all links hang on one platform, and feel each other's gears.
     own_transitions: each friction has one of its own. unidentified: coefficients (k,) of models that need no
-    identification, by name. direct: of a mechanism whose columns are too many to take the slopes of each.
+    identification, by name. direct: of a mechanism whose columns are too many to take the slopes of each. decoupled:
+    a joint's torque depends on its own motion, and on that of others only through a shared motor. described_whole: the
+    description gives all geometry and masses, so that residual torque is a discrepancy and not an incomplete
+    description. weighs: joints whose weight turns with them and is found from the log alone. platform, tree: the
+    mechanism itself where its arms carry a platform, or where it is bodies of a URDF; else None.
     """
 
     @property
@@ -92,6 +96,16 @@ class Mechanism(Protocol):
     def unidentified(self) -> Mapping[str, np.ndarray]: ...
     @property
     def direct(self) -> Direct | None: ...
+    @property
+    def decoupled(self) -> bool: ...
+    @property
+    def described_whole(self) -> bool: ...
+    @property
+    def weighs(self) -> tuple[int, ...]: ...
+    @property
+    def platform(self) -> Delta | None: ...
+    @property
+    def tree(self) -> SerialArm | None: ...
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid: ...
     def grey(self, coefficients: np.ndarray) -> np.ndarray: ...
@@ -129,6 +143,10 @@ class Delta:
     own_transitions = False
     unidentified = {TEXTBOOK: np.array([1.0, 1.0, 0.0])}  # noqa: RUF012 - a constant of the class
     direct = None
+    decoupled = False
+    described_whole = True
+    weighs = ()
+    tree = None
     coefficients = {  # noqa: RUF012 - a constant of the class
         "rho_1": Coefficient(""),
         "rho_2": Coefficient(""),
@@ -139,6 +157,11 @@ class Delta:
     def of(cls, robot: Robot) -> Delta:
         """The mechanism of a description; effects it names are not in it."""
         return cls(pack(robot), np.full(3, robot.drive.gear_ratio))
+
+    @property
+    def platform(self) -> Self:
+        """Itself."""
+        return self
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, 3) motions."""
@@ -201,6 +224,8 @@ class _Servos:
     motors: np.ndarray | None = None
     closed = False
     own_transitions = True
+    described_whole = False
+    platform = None
 
     @property
     def joints(self) -> int:
@@ -250,6 +275,8 @@ class DecoupledAxes(_Servos):
 
     weighs: tuple[int, ...] = ()
     kind = "axes"
+    decoupled = True
+    tree = None
     unidentified = MappingProxyType[str, np.ndarray]({})
 
     @classmethod
@@ -334,6 +361,8 @@ class SerialArm(_Servos):
     payload: np.ndarray | None = None
     optional = ()
     kind = "chain"
+    decoupled = False
+    weighs = ()
 
     @classmethod
     def of(cls, chain: Chain) -> SerialArm:
@@ -392,6 +421,11 @@ class SerialArm(_Servos):
     def links(self) -> np.ndarray:
         """(k,) bool: coefficients that are of the links alone, which the URDF has too."""
         return np.array([name in self.arm.names for name in self.coefficients])
+
+    @property
+    def tree(self) -> Self:
+        """Itself."""
+        return self
 
     @property
     def start(self) -> np.ndarray:

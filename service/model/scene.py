@@ -69,8 +69,9 @@ class Recording:
     @property
     def delta(self) -> Delta:
         """The mechanism, where it is a Delta."""
-        assert isinstance(self.mechanism, Delta)
-        return self.mechanism
+        platform = self.mechanism.platform
+        assert platform is not None
+        return platform
 
     @cached_property
     def at_rest(self) -> Rigid:

@@ -38,7 +38,7 @@ def named_beside(
     """The names that stand and what is said of the rest, where the description is of axes, no more speaks against it
     than how much it leaves, and all that was found is told however wrong it is; else None."""
     problem = regressors.problem
-    if not _much_alone(doubts) or problem.recordings[0].mechanism.kind != "axes":
+    if not _much_alone(doubts) or not problem.recordings[0].mechanism.decoupled:
         return None
     kept, _ = earned(regressors, _nearest(problem, selection), kept_out, allows, limit, lambda _: None)
     left = doubts_of(problem, kept, limit)

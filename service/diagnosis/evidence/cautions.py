@@ -17,7 +17,6 @@ from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
 from service.identification.noise import Floor
 from service.model.effects.base import Effect
-from service.model.mechanism import DecoupledAxes
 
 LEAST_TIME = 3.0  # s of motion of a joint
 LEAST_SHARE = 0.02  # of the time that a joint moves in its rarer direction
@@ -107,7 +106,7 @@ def degrees_doubted(problem: Problem, best: Scored) -> list[Caution]:
     degrees and was taken for radians: a Delta's geometry and an arm's masses tell, an axis has nothing to hold it
     against."""
     mechanism, base, cautions = problem.recordings[0].mechanism, best.hypothesis.base, []
-    if not isinstance(mechanism, DecoupledAxes):
+    if not mechanism.weighs:
         return cautions
     found = dict(zip(mechanism.coefficients, base.rigid.tolist(), strict=True))
     for term in best.hypothesis.terms:
@@ -130,7 +129,7 @@ def base_doubts(
     the gap follows as well without it is not its doing. A Delta's base knows its other joints, and its effects follow
     them too.
     """
-    if problem.recordings[0].mechanism.kind == "delta":
+    if problem.recordings[0].mechanism.closed:
         return _gravity(problem, none, best)
     levels = [statistics.rms_per_joint(problem, scored.residuals) / problem.sigma for scored in (none, best)]
     above = [np.maximum(level**2 - 1.0, 1e-9) for level in levels]
@@ -216,7 +215,7 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
         alone = _alone(problem, selection)
         if left - alone > FOREIGN_TOGETHER * (left - 1.0):
             return [Caution(code="runs_differ", advice="check_runs")]
-    if problem.recordings[0].mechanism.kind == "delta":  # what is left is opened as discrepancies
+    if problem.recordings[0].mechanism.described_whole:  # what is left is opened as discrepancies
         return []
     torque = sum(
         float(((target[rows] - np.mean(target[rows])) ** 2).sum())

@@ -50,12 +50,12 @@ def earned(
     of each other: of two of which one is better and the other simpler, neither takes the place again.
     """
     problem, best, given = regressors.problem, selection.best, len(selection.none.hypothesis.terms)
-    delta = problem.recordings[0].mechanism.kind == "delta"
+    mechanism = problem.recordings[0].mechanism
     fallen: list[Caution] = []
     seen: rivals.Seen = lambda model: model  # noqa: E731
     counts: rivals.Counts = lambda model, instead: True  # noqa: E731
     found = None
-    if delta and problem.over_noise(best.residuals) > limit:
+    if mechanism.described_whole and problem.over_noise(best.residuals) > limit:
         found = accepted(regressors, selection, allows, progress)
         fallen += [
             _fell("not_its_own", effect, model, share=1.0 / max(over, 1.0)) for effect, model, over in found.rejected
@@ -66,7 +66,7 @@ def earned(
         allows = _but({effect for effect, _, over in found.rejected if over > 0.0}, allows)
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, found)
     fallen += fell
-    if refits and problem.recordings[0].mechanism.kind == "chain":
+    if refits and mechanism.tree is not None:
         best, refits, fell = _where_joints_are(regressors, selection, best, refits, kept_out)
         fallen += fell
     # where more than noise is left, it is not that by which a likelihood counts: blocks tell how it scatters

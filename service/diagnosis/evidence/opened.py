@@ -76,12 +76,12 @@ class Pool:
 
     def __init__(self, problem: Problem, split: Split, hypothesis: Hypothesis, told: bool = False):
         self.problem, self.split = problem, split
-        seen, delta = Seen.of(problem, hypothesis, problem.sigma), problem.recordings[0].mechanism.kind == "delta"
+        seen, platform = Seen.of(problem, hypothesis, problem.sigma), problem.recordings[0].mechanism.platform
         self.every: list[Process] = []
         made: dict[int | None, list[np.ndarray]] = {}
         for one in DISCREPANCIES:
             if one.over is not None or not told:
-                for joint in range(len(problem.sigma)) if one.per_joint else (0,) if delta else ():
+                for joint in range(len(problem.sigma)) if one.per_joint else () if platform is None else (0,):
                     process = one.process(seen, joint)
                     made.setdefault(process.joint, []).append(np.concatenate(process.columns))
                     kept = replace(process, columns=[], place=(), values=())

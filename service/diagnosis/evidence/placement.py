@@ -8,7 +8,6 @@ from service.diagnosis.fit.selection import Scored
 from service.diagnosis.fit.wide import Wide
 from service.identification.fit import Problem
 from service.identification.folds import Split
-from service.model.mechanism import SerialArm
 
 # One standard deviation that a joint of a URDF is off by: castings and tools of another series, rounded drawings.
 OFF_M, OFF_RAD = 0.02, 0.02
@@ -21,9 +20,9 @@ class Placement:
         self.split, self.columns = split, []
         unit = np.tile(np.repeat([OFF_M, OFF_RAD], 3), len(problem.sigma))
         for number, recording in enumerate(problem.recordings):
-            arm, segment = recording.mechanism, recording.segment
-            assert isinstance(arm, SerialArm)
-            torque = arm.misplaced(segment.theta, segment.theta_dot, segment.theta_ddot, model.hypothesis.base.rigid)
+            tree, segment = recording.mechanism.tree, recording.segment
+            assert tree is not None
+            torque = tree.misplaced(segment.theta, segment.theta_dot, segment.theta_ddot, model.hypothesis.base.rigid)
             self.columns.append(problem.select(number, problem.band(torque * unit)))
 
     def beside(self, model: Scored, joint: int | None = None) -> float:

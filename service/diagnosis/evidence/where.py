@@ -13,7 +13,6 @@ from service.identification.events import bursts, events_of, rhythm
 from service.identification.fit import Problem
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
-from service.model.mechanism import Delta
 from service.model.signals import LEVER
 
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
@@ -46,7 +45,7 @@ class RowStates:
             states = (segment.theta, segment.theta_dot, segment.theta_ddot, scene.load, clock)
             for part, state in zip(parts, states, strict=True):
                 part.append(problem.pick(index, state[::step]))
-            if isinstance(recording.mechanism, Delta):
+            if recording.mechanism.platform is not None:
                 place = np.repeat(recording.arms.position[::step, None, :], scene.joints, axis=1)
                 platforms.append(problem.pick(index, place))
         theta, speed, acceleration, load, clock = (np.concatenate(part) for part in parts)

@@ -205,7 +205,7 @@ def additions(
 
     def order(tried: list[Scored]) -> list[Scored]:
         ordered = simplest_first(tried, best)
-        if mechanism.kind == "delta":
+        if mechanism.closed:
             ordered = one_cause_first(ordered, best, problem.count)
         return ordered
 

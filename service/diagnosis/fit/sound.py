@@ -30,10 +30,10 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
     """The first effect of `hypothesis` beyond the `given` ones that cannot be what it is called, None if all can."""
     mechanism = problem.recordings[0].mechanism
     for term in hypothesis.terms[given:]:
-        # of a Delta it says that the geometry is wrong, and with it all that was found before
-        if mechanism.kind != "delta" and term.effect.size(mechanism, term.amplitude) > term.effect.beyond:
+        # of a closed chain it says that the geometry is wrong, and with it all that was found before
+        if not mechanism.closed and term.effect.size(mechanism, term.amplitude) > term.effect.beyond:
             return Fault("beyond_any_robot", term)
-        if mechanism.kind != "delta" and any(_by_weight(problem, hypothesis, term, joint) for joint in term.joints):
+        if not mechanism.closed and any(_by_weight(problem, hypothesis, term, joint) for joint in term.joints):
             return Fault("by_weight", term)
         if any(_nothing_of(term, place) for place in range(len(term.amplitude))):
             return Fault("at_limit", term, next(iter(term.effect.amplitudes)))

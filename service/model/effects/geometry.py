@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from service.model.effects.base import Effect
-from service.model.mechanism import Delta, Mechanism
+from service.model.mechanism import Mechanism
 from service.model.nominal import Correction
 from service.model.scene import Scene
 
@@ -50,5 +50,5 @@ class GeometryError(Effect):
         largest = super().size(mechanism, amplitude)
         if not self.share_of:
             return largest
-        assert isinstance(mechanism, Delta)
-        return largest / float(getattr(mechanism.model, self.share_of)[0])
+        assert mechanism.platform is not None
+        return largest / float(getattr(mechanism.platform.model, self.share_of)[0])
