@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
 from service.stopping import interrupted
-
-if TYPE_CHECKING:
-    from schemas.robot import Robot
 
 
 def command(
@@ -37,18 +34,13 @@ def command(
     from schemas.axes_description import load_description
     from schemas.messages import Role
     from schemas.questions import Question, as_delta
-    from schemas.robot import Robot
     from service.estimator.estimator_node import run
     from service.estimator.keep import Keeper
-    from service.estimator.online import compile_estimator
+    from service.estimator.online import assumed, compile_estimator
 
     description = load_description(robot, effects)
-    if isinstance(description, Robot) and description.identified is None:
-        typer.echo(
-            f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True
-        )
-    if isinstance(description, Robot) and description.limits.peak_torque_nm is None:
-        typer.echo(assumed_limit(robot, description), err=True)
+    for said in assumed(description, robot):
+        typer.echo(said, err=True)
     keeper = None if keep is None else Keeper(keep, as_delta(description, Question.LEARNING))
     check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
     typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)
@@ -60,11 +52,3 @@ def command(
             run(description, bus, standing, interrupted, keeper)
         except KeyboardInterrupt:
             typer.echo("estimate: stopped", err=True)
-
-
-def assumed_limit(file: Path, robot: Robot) -> str:
-    """What stands in for a largest torque that a description does not state."""
-    from service.estimator.bounds import bounds_of
-
-    peak, most = bounds_of(robot).peak_nm, robot.limits.max_payload_kg
-    return f"{file}: limits.peak_torque_nm is not set: {peak:.3g} N m assumed, the torque at 10 g with {most:g} kg"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -83,3 +84,9 @@ def _hard_moves(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     rho_1, rho_2 = (1.0, 1.0) if found is None else (found.rho_1.value, found.rho_2.value)
     empty = rho_1 * terms[:, INERTIA] + terms[:, PLATFORM]
     return change, empty, robot.limits.max_payload_kg * terms[:, PAYLOAD], rho_2 * terms[:, GRAVITY]
+
+
+def assumed_limit(file: Path, robot: Robot) -> str:
+    """What stands in for a largest torque that a description does not state."""
+    peak, most = bounds_of(robot).peak_nm, robot.limits.max_payload_kg
+    return f"{file}: limits.peak_torque_nm is not set: {peak:.3g} N m assumed, the torque at 10 g with {most:g} kg"

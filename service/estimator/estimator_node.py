@@ -15,10 +15,9 @@ from drivers.sequence import SequenceCounter
 from schemas.axes_description import Description
 from schemas.errors import DataError
 from schemas.messages import SEQUENCE_BYTES, TOPICS, HealthFlag, SampleFlag
-from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, Rate, rate_of
 from service.estimator.keep import Keeper
-from service.estimator.online import Online, estimator_of, left_out
+from service.estimator.online import Online, estimator_of, left_out, said_beside
 
 REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
 STALE_CYCLES = 20  # without a sample the input is stale ...
@@ -38,8 +37,7 @@ class EstimatorNode:
         self._samples, self._references = bus.subscribe(topics.sample), bus.subscribe(topics.reference, capacity=1024)
         self._sample, self._reference = TOPICS[topics.sample].dtype, TOPICS[topics.reference].dtype
         answers = {name: getattr(topics, name) for name in ("feedforward", "payload", "error")}
-        if isinstance(robot, Robot):
-            answers["friction"] = "friction"
+        answers |= {name: name for name in said_beside(robot)}
         self._put = {name: bus.publisher(topic).put for name, topic in answers.items()}
         self.health, self._flags = Health(bus, flags), flags
         self._counter = SequenceCounter()

@@ -45,7 +45,8 @@ class Coefficient(NamedTuple):
 
 
 class Direct(Protocol):
-    """The torque of a mechanism, and its slopes, without the slopes of each column of `rigid`."""
+    """The torque of a mechanism, and its slopes, without the slopes of each column of `rigid`. instant: what gives the
+    torque (n,) N m at one motion (3, n)."""
 
     def torque(
         self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
@@ -53,6 +54,7 @@ class Direct(Protocol):
     def slopes(
         self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
     ) -> np.ndarray: ...
+    def instant(self, coefficients: np.ndarray) -> Callable[[np.ndarray], np.ndarray]: ...
 
 
 class Mechanism(Protocol):

@@ -11,9 +11,7 @@ from service.estimator.estimator import Result
 from service.estimator.joints import joints_state
 from service.estimator.joints.joints_step import begin_kernel, end_kernel, look_kernel, plan_kernel
 from service.estimator.joints.running_load import Found, LoadMemory
-from service.machines.chain import ChainMachine
 from service.model.description import base_of
-from service.model.mechanism import DecoupledAxes, SerialArm
 
 
 class JointEstimator:
@@ -33,13 +31,13 @@ class JointEstimator:
         """
         self.period, self.stride = period, stride
         machine = joints_state.check(description)
-        mechanism = machine.mechanism
-        assert isinstance(mechanism, DecoupledAxes | SerialArm)
-        self._mechanism, self._base = mechanism, base_of(description)
+        direct, self._tree = machine.mechanism.direct, machine.mechanism.tree
+        assert direct is not None
+        self._rows, self._base = machine.mechanism.rows, base_of(description)
         self._steps = joints_state.fresh(joints_state.settings(description, period, stride))
         self._given = self._steps["given"].view(np.uint8).data
         self.feedforward, self.error = self._steps["feedforward"], self._steps["error"]
-        self.payload = self._steps["load"] if isinstance(description, Chain) else None
+        self.payload = None if self._tree is None else self._steps["load"]
         count, one = description.count, self._steps["state"][0]
         self._motion, self._looked = one["motion"][:, :count], one["looked"][:, :count]
         self._rigid, self._reported = one["rigid"][:count], one["reported"][:count]
@@ -47,12 +45,11 @@ class JointEstimator:
         self._coulomb = self._base.coulomb
         self._transition = self._steps["settings"][0]["transition"][: len(self._coulomb)]
         self._count, self._lagged = count, False
-        self._bare = self._torque = self._mechanism.instant(self._base.rigid)
+        self._bare = self._torque = direct.instant(self._base.rigid)
         self._load: LoadMemory | None = None
         self._fed: Found | None = None
-        if isinstance(description, Chain):
-            assert isinstance(machine, ChainMachine)
-            self._load = LoadMemory(description, machine, period, machine.limits().speed)
+        if self._tree is not None:
+            self._load = LoadMemory(machine, self._tree, period, machine.limits().speed)
             self._onto = machine.load(None)[1]
         self._found = HealthFlag.EFFECT_LEFT_OUT if joints_state.left_out(description) else HealthFlag(0)
         self._say(None)
@@ -98,7 +95,7 @@ class JointEstimator:
     def _weigh(self, load: LoadMemory) -> None:
         """Errors at the sample looked back on, which goes into the estimate of the load."""
         motion = self._looked
-        dry = np.tanh(self._mechanism.rows @ motion[1] / self._transition)
+        dry = np.tanh(self._rows @ motion[1] / self._transition)
         row = load.residual(motion, self._reported, self._rubbed, dry)
         left = row[:, -1] + self._rubbed
         carried = row[:, :10] @ self._fed.feed if self._fed is not None and self._fed.trusted else 0.0
@@ -117,8 +114,8 @@ class JointEstimator:
         """The load that is known now, in what is fed forward and said."""
         self._fed, self._torque = found, self._bare
         if found is not None and found.trusted:
-            assert isinstance(self._mechanism, SerialArm)
-            self._torque = self._mechanism.instant(self._base.rigid, self._onto @ found.feed)
+            assert self._tree is not None
+            self._torque = self._tree.instant(self._base.rigid, self._onto @ found.feed)
         self._say(found)
 
     def _say(self, found: Found | None) -> None:

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.chain_description import Chain
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator.payload.verdict import is_sure
-from service.machines.chain import ChainMachine
 from service.machines.load_fit import BLOCK, SCARCE, WIDEST, Blocks, Body, body_from, information_of
+from service.machines.machine import MachineModel
 from service.model.description import base_of
+from service.model.mechanism import SerialArm
 
 BIN = 0.01  # s
 MOST_BLOCKS = 40  # 20 s of motion: a load that nobody saw change is forgotten by then
@@ -59,17 +59,17 @@ class _Doubted:
 class LoadMemory:
     """Call `add` for every look back; `found` is the newest result, None: not yet."""
 
-    def __init__(self, chain: Chain, machine: ChainMachine, period: float, unit: np.ndarray) -> None:
-        """unit: (n,) rad/s, speeds by which `MOVES` is meant."""
+    def __init__(self, machine: MachineModel, tree: SerialArm, period: float, unit: np.ndarray) -> None:
+        """tree: the mechanism of `machine`. unit: (n,) rad/s, speeds by which `MOVES` is meant."""
         self.frame, self._onto = machine.load(None)
-        mechanism = machine.mechanism
-        self._regressor, self._rows = mechanism.regressor(), mechanism.rows
-        self._rigid, self._known = base_of(chain).rigid, mechanism.known
-        self._prior = np.r_[1.0 / WIDEST**2, information_of(chain, base_of(chain))]
+        self._regressor, self._rows = tree.regressor(), tree.rows
+        base = base_of(machine.description)
+        self._rigid, self._known = base.rigid, tree.known
+        self._prior = np.r_[1.0 / WIDEST**2, information_of(machine.description, base)]
         self._slowest = MOVES * unit
         self._per_bin = max(1, round(BIN / period))
         self._per_block = max(2, round(BLOCK / (self._per_bin * period)))
-        size, joints = len(self._prior) + 1, mechanism.joints
+        size, joints = len(self._prior) + 1, tree.joints
         self._bin, self._moving = np.zeros((joints, size)), np.ones(joints, bool)
         self._filled = 0
         self._rows_of_block = np.empty((self._per_block, joints, size))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from schemas.robot import Limits, load_robot
-from service.cli.estimate import assumed_limit
+from service.estimator.bounds import assumed_limit
 
 
 def test_a_largest_torque_that_is_assumed_is_said() -> None:
