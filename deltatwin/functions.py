@@ -243,7 +243,8 @@ def payload(robot: Description, trace: recorded.Trace, frame: str | None = None)
         True
     """
     (trace,) = logs_of(described(robot), [trace])
-    if not isinstance(robot, Robot):
+    picking = robot.answering(Question.PICKS)
+    if picking is None:
         from service.identification.log_load import load_on
 
         return LoadResult(robot, load_on(robot, trace, frame))
@@ -251,8 +252,8 @@ def payload(robot: Description, trace: recorded.Trace, frame: str | None = None)
 
     if frame is not None:
         raise DataError(f"frame {frame!r}: a Delta robot has its load on the platform")
-    found = payload_history(robot, trace)
-    return PayloadResult(robot, trace.name, found, tuple(levels(found)), common_error(robot))
+    found = payload_history(picking, trace)
+    return PayloadResult(picking, trace.name, found, tuple(levels(found)), common_error(picking))
 
 
 @overload
@@ -318,7 +319,7 @@ def rollout(
     logs = as_list(traces)
     for one in named.values():
         logs_of(one, logs)
-    others = [(name, one) for name, one in named.items() if not isinstance(one, Robot)]
+    others = [(name, one) for name, one in named.items() if one.answering(Question.COMMANDS) is None]
     if others and not commands:
         from service.rollout import joints
 

@@ -25,7 +25,6 @@ import mujoco
 from schemas.axes_description import Description
 from schemas.errors import DataError
 from schemas.questions import Question, as_delta
-from schemas.robot import Robot
 from service.machines import machine_of
 from service.rollout.simulator_files import to_mjcf
 
@@ -42,8 +41,9 @@ def model_of(robot: Description) -> mujoco.MjModel:
         >>> model_of(dt.load_robot("d3-1200")).nu  # drives
         3
     """
-    if isinstance(robot, Robot):
-        return to_mjcf(robot).spec.compile()
+    delta = robot.answering(Question.CALLBACK)
+    if delta is not None:
+        return to_mjcf(delta).spec.compile()
     return mujoco.MjModel.from_xml_string(machine_of(robot).to_mjcf().text)
 
 

@@ -12,24 +12,21 @@ gravity = false             # vertical axis of rotation, or balanced; default: a
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-import tomlkit
 from pydantic import Field, model_validator
-from tomlkit.items import AoT, Table
 
 from schemas.chain_description import Chain
 from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
-from schemas.files import write_text
 from schemas.fitted import Figures, Fitted, JointParameter, per_joint
 from schemas.joints_description import JointFriction, Machine
-from schemas.robot import Robot, Source, load_robot, save_robot, toml_item
+from schemas.questions import Question, as_delta
+from schemas.robot import Robot, Source, load_robot
 from schemas.toml import Positive, TomlTable, read_toml, validate
-from schemas.urdf import read_urdf, turning_joints
+from schemas.urdf import turning_joints
 
 
 class Axis(TomlTable):
@@ -102,6 +99,20 @@ class Axes(Machine):
         return [axis.gear_ratio for axis in self.axis]
 
     @property
+    def known(self) -> AxesIdentified | None:
+        """`identified`."""
+        return self.identified
+
+    @property
+    def separate(self) -> Axes | None:
+        """Itself."""
+        return self
+
+    @property
+    def bears_load(self) -> bool:
+        return False
+
+    @property
     def predicts(self) -> bool:
         return self.identified is not None
 
@@ -133,6 +144,16 @@ def load_description(path: str | Path, effects: Path | None = None) -> Descripti
     return load_axes(path, effects) if str(kind) in KINDS else load_robot(path, effects)
 
 
+def load_delta(path: str | Path, question: Question, effects: Path | None = None) -> Robot:
+    """Read the description of a Delta robot, which alone answers `question`.
+
+    Raises:
+        RobotError: naming file, key and value of the first thing that is wrong.
+        UnansweredError: it describes another machine.
+    """
+    return as_delta(load_description(path, effects), question)
+
+
 def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
     """Read a description of axes, or of an arm and its URDF.
 
@@ -141,15 +162,10 @@ def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
     """
     path = Path(path)
     values = read_toml(path, RobotError)
-    if KINDS.get(str(values.get("kind"))) is Chain and isinstance(urdf := values.get("urdf"), str):
+    kind = KINDS.get(str(values.get("kind")), Axes)
+    if kind is Chain and isinstance(urdf := values.get("urdf"), str):
         _ask_joints(path, urdf, values)
-    machine = validate(KINDS.get(str(values.get("kind")), Axes), values, path, RobotError)
-    machine._source = Source(path.parent, effects, path)
-    if isinstance(machine, Chain):
-        machine._arm = read_urdf(path.parent / machine.urdf, machine.joints, machine.held)
-        if machine.payload is not None and machine.payload.frame not in machine.arm.links:
-            raise RobotError(f"{path}: payload.frame: {machine.urdf} has no link {machine.payload.frame!r}")
-    return machine
+    return validate(kind, values, path, RobotError).read_from(Source(path.parent, effects, path))
 
 
 def _ask_joints(path: Path, urdf: str, values: Mapping[str, object]) -> None:
@@ -168,12 +184,4 @@ def save_description(description: Description, path: Path, template: Path | None
     Raises:
         StorageError: the file cannot be written.
     """
-    if isinstance(description, Robot):
-        save_robot(description, path, template)
-        return
-    document: Any = tomlkit.document()
-    values = description.model_dump(exclude_none=True, exclude_defaults=True)
-    values |= {key: os.path.relpath(file, path.parent) for key, file in description.files.items()}
-    for key in sorted(values, key=lambda key: isinstance(toml_item(values[key]), (AoT, Table))):  # those come last
-        document[key] = toml_item(values[key])
-    write_text(path, tomlkit.dumps(document))
+    description.save(path, template)

@@ -15,17 +15,18 @@ payload = { frame = "tool0", mass_kg = 1.5, centre_m = [0.0, 0.0, 0.05] }  # wit
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
 from schemas.columns import MAX_JOINTS
+from schemas.errors import RobotError
 from schemas.fitted import Figures, Fitted, Parameter, alone
 from schemas.joints_description import JointFriction, Machine
-from schemas.robot import Gravity
+from schemas.robot import Gravity, Source, Travel
 from schemas.toml import NotNegative, Positive, Three, TomlTable
-from schemas.urdf import Urdf
+from schemas.urdf import Urdf, read_urdf
 
 Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]
 
@@ -95,8 +96,40 @@ class Chain(Machine):
     def gear_ratios(self) -> list[float]:
         return self.gear_ratio if isinstance(self.gear_ratio, list) else [self.gear_ratio] * self.count
 
-    def has_joints_of(self, other: Machine) -> bool:
-        return isinstance(other, Chain) and self.joints == other.joints
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(self.joints)
+
+    def read_from(self, source: Source) -> Self:
+        """With its URDF."""
+        super().read_from(source)
+        self._arm = read_urdf(self.folder / self.urdf, self.joints, self.held)
+        if self.payload is not None and self.payload.frame not in self.arm.links:
+            raise RobotError(f"{self.origin}: payload.frame: {self.urdf} has no link {self.payload.frame!r}")
+        return self
+
+    @property
+    def known(self) -> ChainIdentified | None:
+        """`identified`."""
+        return self.identified
+
+    @property
+    def separate(self) -> None:
+        """None: its joints bear each other."""
+
+    @property
+    def travels(self) -> tuple[Travel, ...]:
+        both = zip(self.joints, self.arm.limits, strict=True)
+        return tuple(Travel(low, high, f"joint {name!r} of {self.urdf}") for name, (low, high) in both)
+
+    def check_rigid(self, coefficients: Collection[str]) -> None:
+        found = {} if self.identified is None else self.identified.rigid
+        for name in coefficients:
+            if name not in found:
+                raise RobotError(f"robot {self.name}: identified.rigid: {name!r} is missing")
+        for name in found:
+            if name not in coefficients and self.masses == "identified":
+                raise RobotError(f"robot {self.name}: identified.rigid: {name!r} is not a parameter of {self.urdf}")
 
     @property
     def files(self) -> dict[str, str]:

@@ -3,14 +3,19 @@ log, and motors that may turn with several of them."""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
 from pydantic import BaseModel
+from tomlkit.items import AoT, Table
 
+from schemas.files import write_text
 from schemas.fitted import Figures, Fitted, JointParameter, per_joint
 from schemas.messages import OF_JOINTS, Topics
-from schemas.robot import Described, EffectEntry, check_joints
+from schemas.robot import Described, EffectEntry, check_joints, toml_item
 from schemas.toml import NotNegative, Positive, TomlTable
 
 MOST_COUPLED = 1e6  # condition of a coupling matrix
@@ -38,6 +43,16 @@ class JointFriction(TomlTable):
         band = {} if fitted.band_hz is None else {"torque_band_hz": fitted.band_hz}
         frictions = {key: fitted.joints(name) for key, name in _FRICTIONS.items()}
         return {"torque_timing_s": fitted.timing_s} | band | frictions | {"friction_transition": fitted.transition}
+
+    @property
+    def transition(self) -> float | list[float]:
+        """rad/s or m/s over which Coulomb friction changes sign."""
+        return self.friction_transition
+
+    @property
+    def band_hz(self) -> float:
+        """Up to which the torque follows the motion as modelled."""
+        return np.inf if self.torque_band_hz is None else self.torque_band_hz
 
     @property
     def figures(self) -> Figures:
@@ -89,8 +104,11 @@ class Machine(Described):
 
     @property
     def motors(self) -> np.ndarray:
-        """(n, n): row i, how far motor i turns, behind its gear, for a turn of each joint."""
-        return np.eye(self.count) if self.coupling is None else np.array(self.coupling, float)
+        return super().motors if self.coupling is None else np.array(self.coupling, float)
+
+    @property
+    def coupled(self) -> bool:
+        return self.coupling is not None
 
     @property
     def shared_motors(self) -> list[int]:
@@ -99,12 +117,19 @@ class Machine(Described):
 
     def has_joints_of(self, other: Machine) -> bool:
         """Whether it describes the same joints, as far as they are told apart."""
-        return type(self) is type(other) and self.count == other.count
+        return type(self) is type(other) and (self.count, self.joint_names) == (other.count, other.joint_names)
 
     @property
     def mapping(self) -> str | None:
-        """`columns`, a file as found from here."""
-        return self.files.get("columns", self.columns)
+        return self.files.get("columns", self.columns) or None
+
+    def save(self, path: Path, template: Path | None = None) -> None:
+        document: Any = tomlkit.document()
+        values = self.model_dump(exclude_none=True, exclude_defaults=True)
+        values |= {key: os.path.relpath(file, path.parent) for key, file in self.files.items()}
+        for key in sorted(values, key=lambda key: isinstance(toml_item(values[key]), (AoT, Table))):  # those come last
+            document[key] = toml_item(values[key])
+        write_text(path, tomlkit.dumps(document))
 
     def _check(self, identified: BaseModel | None) -> None:
         count = self.count

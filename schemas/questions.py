@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from enum import Enum
-from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-from schemas.axes_description import Description, load_description
 from schemas.errors import UnansweredError
-from schemas.robot import Robot
+
+if TYPE_CHECKING:
+    from schemas.robot import Described, Robot
 
 
 class Question(Enum):
@@ -36,7 +36,7 @@ class Question(Enum):
     ROUTE = "pick-and-place, workspace or conveyor", "possible motions: multisine, slow, or a file"
 
 
-def refuse(description: Description, question: Question) -> NoReturn:
+def refuse(description: Described, question: Question) -> NoReturn:
     """
     Raises:
         UnansweredError: always.
@@ -45,22 +45,13 @@ def refuse(description: Description, question: Question) -> NoReturn:
     raise UnansweredError(f"{description.name}: {asked} is not available for {description.called}; {instead}")
 
 
-def as_delta(description: Description, question: Question) -> Robot:
-    """`description`, where it is a Delta robot, which alone answers `question`.
+def as_delta(description: Described, question: Question) -> Robot:
+    """`description`, where it answers `question`, as a Delta robot alone does.
 
     Raises:
-        UnansweredError: it is none.
+        UnansweredError: it does not.
     """
-    if not isinstance(description, Robot):
+    found = description.answering(question)
+    if found is None:
         refuse(description, question)
-    return description
-
-
-def load_delta(path: str | Path, question: Question, effects: Path | None = None) -> Robot:
-    """Read the description of a Delta robot, which alone answers `question`.
-
-    Raises:
-        RobotError: naming file, key and value of the first thing that is wrong.
-        UnansweredError: it describes another machine.
-    """
-    return as_delta(load_description(path, effects), question)
+    return found

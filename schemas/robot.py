@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
+import numpy as np
 import tomlkit
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PrivateAttr, model_validator
 
@@ -15,6 +17,7 @@ from schemas.errors import RobotError
 from schemas.files import make_folder, write_text
 from schemas.fitted import Figures, Fitted, JointParameter, Parameter, alone, per_joint
 from schemas.messages import OF_DELTA, Topics
+from schemas.questions import Question
 from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
 from schemas.zenoh_keys import check_robot_name
 
@@ -287,6 +290,16 @@ class Identified(TomlTable):
         )
 
     @property
+    def transition(self) -> float | list[float]:
+        """rad/s over which Coulomb friction changes sign."""
+        return self.friction_transition_radps
+
+    @property
+    def band_hz(self) -> float:
+        """Up to which the torque follows the motion as modelled."""
+        return math.inf
+
+    @property
     def figures(self) -> Figures:
         """Those of the base model."""
         rigid = alone({name: getattr(self, name) for name in _RIGID})
@@ -331,6 +344,14 @@ class Source:
     file: Path | None = field(default=None, compare=False)
 
 
+class Travel(NamedTuple):
+    """low, high: rad, between which a joint moves. stated: what says so, for messages."""
+
+    low: float
+    high: float
+    stated: str
+
+
 class Described(TomlTable):
     """What descriptions of all kinds say of n joints."""
 
@@ -359,10 +380,47 @@ class Described(TomlTable):
         """What an error about a key of it begins with."""
         return str(self._source.file or f"robot {self.name!r}")
 
+    def read_from(self, source: Source) -> Self:
+        """Take note of where it was read from, and read the files that it cannot do without.
+
+        Raises:
+            RobotError: one of these files is wrong, or does not match the description.
+        """
+        self._source = source
+        return self
+
+    def save(self, path: Path, template: Path | None = None) -> None:
+        """Write it; see `save_description`."""
+        raise NotImplementedError
+
+    def answering(self, question: Question) -> Robot | None:
+        """The Delta robot that answers `question`; None where this machine has no answer."""
+        return None
+
     @property
     def count(self) -> int:
         """n."""
         raise NotImplementedError
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Of the joints in the order of the log; empty: they have none."""
+        return ()
+
+    @property
+    def motors(self) -> np.ndarray:
+        """(n, n): row i, how far motor i turns, behind its gear, for a turn of each joint."""
+        return np.eye(self.count)
+
+    @property
+    def coupled(self) -> bool:
+        """Whether a motor may turn several joints."""
+        return False
+
+    @property
+    def mapping(self) -> Columns | str | None:
+        """Column mapping of its logs: itself, or a file as found from here, or the name of a bundled one."""
+        return None
 
     @property
     def gear_ratios(self) -> list[float]:
@@ -392,6 +450,68 @@ class Described(TomlTable):
     def angular(self) -> bool:
         """Radians and newton metres, on all joints."""
         return not self.linear
+
+    @property
+    def swings(self) -> bool:
+        """Whether its joints turn to and fro, no further and no faster than any Delta's; others may go round and round,
+        as fast as a motor."""
+        return False
+
+    @property
+    def joint_range(self) -> tuple[float, float] | None:
+        """Lowest and highest angle of all joints, rad, beyond which a position is no reading; None: there is none."""
+        return None
+
+    @property
+    def travels(self) -> tuple[Travel, ...]:
+        """Of each joint, in a frame whose zero the log need not share; empty: nothing says it."""
+        return ()
+
+    @property
+    def turns_gripper(self) -> bool:
+        """Whether a fourth position in a log may be of an axis that turns its gripper, without torque in the log."""
+        return False
+
+    @property
+    def bears_load(self) -> bool:
+        """Whether it has a tool or platform on which a load is weighed."""
+        return True
+
+    @property
+    def masses_tell_torque(self) -> bool:
+        """Whether its masses tell the unit of a log's torque."""
+        return False
+
+    @property
+    def counts_per_turn(self) -> float | None:
+        """Encoder counts per turn of a motor; None: not known."""
+        return None
+
+    @property
+    def full_scale_nm(self) -> float | None:
+        """Motor torque that 1000 per mille stand for, N m; None: not known."""
+        return None
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """Coefficients of the base model, by name, that stay as they are where logs cannot tell them."""
+        return {}
+
+    def check_rigid(self, coefficients: Collection[str]) -> None:
+        """
+        Raises:
+            RobotError: `identified` has not the figures of these coefficients of its mechanism.
+        """
+
+    def refitted(self, section: TomlTable, noise: JointParameter) -> TomlTable:
+        """The `[identified]` section `section` of a refit together with effects, with what such a refit leaves as it
+        is. noise: rms per sample of the torque's white noise, N m or N."""
+        return section
+
+    def with_left(self, error: JointParameter, commanded: bool, ahead_s: float | None) -> Self:
+        """With what logs tell of the model, where its `[identified]` section has a place for it. error: `model_error`.
+        commanded: whether the reported torque is the command, or that is so many s ahead of what acts."""
+        return self
 
     @property
     def torque_noise(self) -> JointParameter | None:
@@ -429,6 +549,64 @@ class Robot(Described):
     def topics(self) -> Topics:
         return OF_DELTA
 
+    def save(self, path: Path, template: Path | None = None) -> None:
+        save_robot(self, path, template)
+
+    def answering(self, question: Question) -> Robot | None:
+        return self if question in _ANSWERED else None
+
+    @property
+    def mapping(self) -> Columns | str | None:
+        return self.columns
+
+    @property
+    def swings(self) -> bool:
+        return True
+
+    @property
+    def joint_range(self) -> tuple[float, float] | None:
+        low, high = self.geometry.joint_range_rad
+        return low, high
+
+    @property
+    def turns_gripper(self) -> bool:
+        return True
+
+    @property
+    def masses_tell_torque(self) -> bool:
+        return True
+
+    @property
+    def counts_per_turn(self) -> float | None:
+        return float(self.drive.joint[0].counts_per_turn) if self.drive.joint else None
+
+    @property
+    def full_scale_nm(self) -> float | None:
+        return float(self.drive.joint[0].torque.full_scale_nm) if self.drive.joint else None
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        return {"rho_1": 1.0, "rho_2": 1.0, "forearm_inertia_kg": self.mass.passive_link}
+
+    @property
+    def known(self) -> Identified:
+        """`identified`; without it the robot is as drawn."""
+        return self.identified or Identified()
+
+    def refitted(self, section: TomlTable, noise: JointParameter) -> TomlTable:
+        kept = {name: getattr(self.known, name) for name in ("torque_commanded", "torque_constant_error")}
+        return section.model_copy(update={"torque_noise_nm": noise} | kept)
+
+    def with_left(self, error: JointParameter, commanded: bool, ahead_s: float | None) -> Self:
+        if self.identified is None:
+            return self
+        told = {
+            "model_error_nm": error,
+            "torque_commanded": self.identified.torque_commanded or commanded,
+            "torque_command_ahead_s": ahead_s,
+        }
+        return self.model_copy(update={"identified": self.identified.model_copy(update=told)})
+
     def identified_as(self, fitted: Fitted) -> Identified:
         """Of the plain model: what is known of the torque's noise and constants is told by other means."""
         return Identified.of(fitted)
@@ -455,6 +633,21 @@ class Robot(Described):
         """Arm azimuths in radians."""
         return [math.radians(a) for a in self.geometry.arm_angles_deg]
 
+
+_ANSWERED = frozenset(
+    {
+        Question.VIEW,
+        Question.LEARNING,
+        Question.FIELDBUS,
+        Question.CODE,
+        Question.CLOSED_LOOP,
+        Question.COMMANDS,
+        Question.PICKS,
+        Question.CALLBACK,
+        Question.RIVALS,
+        Question.ROUTE,
+    }
+)
 
 SHIPPED = Path(__file__).parent / "robots"
 
@@ -486,9 +679,7 @@ def load_robot(path: str | Path, effects: Path | None = None) -> Robot:
     values = read_toml(path, RobotError)
     if (kind := values.get("kind", "delta")) != "delta":
         raise RobotError(f'{path}: kind = "{kind}": a Delta robot is needed')
-    robot = validate(Robot, values, path, RobotError)
-    robot._source = Source(path.parent, effects, path)
-    return robot
+    return validate(Robot, values, path, RobotError).read_from(Source(path.parent, effects, path))
 
 
 def save_robot(robot: Robot, path: str | Path, template: str | Path | None = None) -> None:

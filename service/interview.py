@@ -12,9 +12,9 @@ from pathlib import Path
 from schemas.axes_description import Axes
 from schemas.chain_description import Chain
 from schemas.errors import RobotError
-from schemas.robot import Robot
+from schemas.robot import Robot, Source
 from schemas.toml import validate
-from schemas.urdf import read_urdf, turning_joints
+from schemas.urdf import turning_joints
 
 MOST_AXES = 12
 
@@ -102,9 +102,7 @@ def write_up(questions: Sequence[Question], answers: Mapping[str, str], out: Pat
         text, model = _tables(questions, answers, 'kind = "axes"\n', "[[axis]]"), Axes
     else:
         text, model = _tables(questions, answers, "", "[{}]"), Robot
-    found = validate(model, tomllib.loads(text), out, RobotError)
-    if isinstance(found, Chain):
-        read_urdf(out.parent / found.urdf, found.joints, found.held)
+    validate(model, tomllib.loads(text), out, RobotError).read_from(Source(out.parent))
     return text
 
 

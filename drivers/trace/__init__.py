@@ -27,7 +27,6 @@ from schemas.axes_description import Description
 from schemas.columns import CHANNELS, Columns, load_columns
 from schemas.errors import TraceError
 from schemas.files import opened, whole
-from schemas.joints_description import Machine
 from schemas.messages import OF_DELTA, OF_JOINTS, TOPICS
 from schemas.questions import Question, as_delta
 from schemas.trace import UNNAMED, Trace
@@ -58,7 +57,7 @@ def read_trace(path: str | Path, robot: Description | None = None, columns: Colu
     """
     path = Path(path)
     trace = _read(path, robot, columns)
-    if isinstance(robot, Machine):
+    if robot is not None:
         found = trace.position.shape[1]
         if found != robot.count:
             raise TraceError(f"{path}: {found} axes, {robot.name} is described with {robot.count}")
@@ -76,10 +75,8 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
         from drivers.trace.capture_trace import read_capture
 
         return read_capture(path, as_delta(robot, Question.FIELDBUS))
-    if isinstance(robot, Machine):
-        fallback = find_columns(robot.mapping) if robot.mapping else None
-    else:
-        fallback = robot.columns if robot else None
+    own = None if robot is None else robot.mapping
+    fallback = find_columns(own) if isinstance(own, str) else own
     if path.name.endswith(".mcap"):
         from drivers.trace.mcap_file import read_mcap, robots_and_start
 

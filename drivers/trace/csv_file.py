@@ -21,7 +21,6 @@ from schemas.columns import CHANNELS, FILETIME_S, MAX_COLUMNS, TIME_UNITS, Colum
 from schemas.errors import TraceError
 from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes
 from schemas.messages import NANOSECONDS, Gripper
-from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 from schemas.units import is_unit
 
@@ -159,7 +158,8 @@ def own_columns(names: Sequence[str], robot: Description | None = None) -> Colum
     if not own:
         return None
     if own[0] == "rad":
-        fourth = "position_4_rad" in names and (isinstance(robot, Robot) or "torque_4_nm" not in names)
+        of_gripper = robot is not None and robot.turns_gripper
+        fourth = "position_4_rad" in names and (of_gripper or "torque_4_nm" not in names)
         return Columns(joints=3) if fourth and len(own) == 4 else Columns(joints=len(own), fourth_position=None)
     linear: dict[str, Any] = {"joints": len(own)}
     for channel, ending, unit in zip(CHANNELS, ("m", "n") * 2, ("m", "N") * 2, strict=True):

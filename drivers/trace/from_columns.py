@@ -13,7 +13,6 @@ from drivers.trace.quality import RowNames, check
 from schemas.axes_description import Description
 from schemas.columns import CHANNELS, EXTRAS, TIME_UNITS, Columns, GripperColumn, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
-from schemas.joints_description import Machine
 from schemas.messages import Gripper
 from schemas.trace import Finding, Trace
 from schemas.words import counted
@@ -140,7 +139,7 @@ def assemble(
     if apart:
         rows = rows[np.isfinite(table[str(channels[0].index)].to_numpy()[rows])]
     arrays, own_time = _arrays(table, channels, stamps, (rows, apart), robot, lines, notes, path)
-    if isinstance(robot, Machine) and robot.coupling is not None and arrays["position"].shape[1] == robot.count:
+    if robot is not None and robot.coupled and arrays["position"].shape[1] == robot.count:
         for name in CHANNELS:
             own = [c.column for c in channels if c.name == name and not isinstance(c.column, GripperColumn)]
             if own:
@@ -318,7 +317,7 @@ def _gear_ratio(robot: Description | None, joint: int) -> float | None:
     return None if robot is None or joint >= robot.count else robot.gear_ratios[joint]
 
 
-def _uncouple(arrays: dict[str, np.ndarray], name: str, sides: set[str], machine: Machine, path: Path) -> None:
+def _uncouple(arrays: dict[str, np.ndarray], name: str, sides: set[str], machine: Description, path: Path) -> None:
     """Bring a channel of all motors to the joints, in place; one that is the joints' already stays."""
     if len(sides) > 1:
         reason = f"{machine.name} has a coupling, give it for all"

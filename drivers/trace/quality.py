@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from schemas.axes_description import Description
-from schemas.chain_description import Chain
 from schemas.columns import implausible_rate
 from schemas.errors import TraceError
-from schemas.joints_description import Machine
 from schemas.messages import SampleFlag
-from schemas.robot import Geometry, Robot
+from schemas.robot import Geometry, Travel
 from schemas.trace import Finding, Trace
 from schemas.words import counted
 
@@ -124,7 +122,7 @@ def _values(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator
                 what = f"{name} of joint {joint + 1}: {counted(len(bad), 'value')} missing or not finite"
                 yield Finding(flag, f"{what}: {rows.name(bad)} ({values[bad[0], joint]})", bad)
     yield from _commanded(trace)
-    yield from _jumps(trace, rows, 0.0 if robot is None or isinstance(robot, Robot) else BURST)
+    yield from _jumps(trace, rows, 0.0 if robot is None or robot.swings else BURST)
 
 
 def _commanded(trace: Trace) -> Iterator[Finding]:
@@ -169,28 +167,32 @@ def _middle(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, e: np.nd
     return np.maximum(np.minimum(low, high), np.minimum(e, np.maximum(low, high)))
 
 
-def _spans(trace: Trace, chain: Chain) -> None:
+def _spans(trace: Trace, travels: Sequence[Travel]) -> None:
     """
     Raises:
-        TraceError: a joint moves further than its URDF lets it between any two ends.
+        TraceError: a joint moves further than it is said to between its ends.
     """
-    for joint, (low, high) in enumerate(chain.arm.limits):
+    for joint, (low, high, stated) in enumerate(travels):
         least, most = np.nanmin(trace.position[:, joint]), np.nanmax(trace.position[:, joint])
         if most - least > BEYOND_LIMITS * (high - low):
             degrees = np.radians(most - least) <= high - low
             hint = "degrees for radians" if degrees else "a wrong unit or gear ratio"
             raise TraceError(
-                f"{trace.path}: position of joint {joint + 1} goes from {least:.4g} to {most:.4g} rad, joint "
-                f"{chain.joints[joint]!r} of {chain.urdf} from {low:.4g} to {high:.4g} rad: {hint}?"
+                f"{trace.path}: position of joint {joint + 1} goes from {least:.4g} to {most:.4g} rad, "
+                f"{stated} from {low:.4g} to {high:.4g} rad: {hint}?"
             )
 
 
 def _range(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator[Finding]:
-    if isinstance(robot, Chain):
-        _spans(trace, robot)
-    if not trace.angular or isinstance(robot, Machine) or (robot is None and trace.position.shape[1] != 3):
+    if robot is not None:
+        _spans(trace, robot.travels)
+        between = robot.joint_range
+    else:
+        of_delta = trace.position.shape[1] == 3
+        between = Geometry.model_fields["joint_range_rad"].default if of_delta else None
+    if between is None or not trace.angular:
         return
-    low, high = robot.geometry.joint_range_rad if robot else Geometry.model_fields["joint_range_rad"].default
+    low, high = between
     for joint in range(trace.position.shape[1]):
         position = trace.position[:, joint]
         bad = np.flatnonzero((position < low) | (position > high))

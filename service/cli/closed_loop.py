@@ -89,8 +89,9 @@ def command(
     from drivers.simulated.plant.effects import draw_effect
     from drivers.simulated.plant.plant import make_plant
     from replay.realtime import go_realtime
+    from schemas.axes_description import load_delta
     from schemas.files import make_folder, write_text
-    from schemas.questions import Question, load_delta
+    from schemas.questions import Question
     from service.cli.main import MISSED
     from service.experiment.live_loop import CORRECTED, FEEDBACK, RIGID, Subject, ratio, variants
     from service.experiment.loop_page import HEAD, NOTE, SHORT, page, row, verdict_of_correction, verdict_of_models
@@ -194,8 +195,9 @@ def _learn(
 
 
 def _load(path: Path, robot: Robot, effects: Path | None) -> Robot:
+    from schemas.axes_description import load_delta
     from schemas.errors import RobotError
-    from schemas.questions import Question, load_delta
+    from schemas.questions import Question
 
     known = load_delta(path, Question.CLOSED_LOOP, effects)
     if known.name != robot.name:
@@ -205,14 +207,12 @@ def _load(path: Path, robot: Robot, effects: Path | None) -> Robot:
 
 def _diagnosed(robot: Robot, logs: list[Trace], effects: Path | None, progress: Callable[[str], None]) -> Robot:
     """The corrected description that `diagnose` makes of `logs`."""
-    from schemas.robot import Robot
+    from schemas.questions import Question, as_delta
     from service.diagnosis.documents.document import corrected
     from service.diagnosis.pipeline import diagnose
     from service.model.effects import catalogue
 
-    found = corrected(diagnose(robot, logs, catalogue(effects), progress))
-    assert isinstance(found, Robot)
-    return found
+    return as_delta(corrected(diagnose(robot, logs, catalogue(effects), progress)), Question.CLOSED_LOOP)
 
 
 def _run(

@@ -38,7 +38,7 @@ def command(
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
     from schemas.axes_description import load_description
-    from schemas.joints_description import Machine
+    from schemas.questions import Question
     from service.identification.conclusion import of_evaluation
     from service.identification.evaluation import evaluate
     from service.identification.held import told_of_held
@@ -69,7 +69,7 @@ def command(
     said, explained = of_evaluation(description, results)
     if description.identified is None:
         conclude(said, "identify", *traces, "--robot", robot, *read_by(columns), "--out", "identified.toml")
-    elif explained and isinstance(description, Machine):
+    elif explained and description.answering(Question.LEARNING) is None:
         conclude(said, "rollout", *traces, "--robot", robot, *read_by(columns))
     elif explained:
         conclude(said, "estimate", "--robot", robot)

@@ -88,7 +88,6 @@ def command(
     from schemas.axes_description import load_description
     from schemas.files import check_apart, make_folder, write_text
     from schemas.questions import Question, as_delta
-    from schemas.robot import Robot
     from service.cli.machine_files import write_machine
 
     for option, formats in ONLY_FOR.items():
@@ -97,7 +96,7 @@ def command(
             raise typer.BadParameter(f"--{option}: only for --to {' or '.join(formats)}, not for {to.value}")
     check_apart(out, robot, *(log or []))
     described = load_description(robot, effects)
-    if to in (Format.mjcf, Format.urdf) and not isinstance(described, Robot):
+    if to in (Format.mjcf, Format.urdf) and described.answering(Question.CODE) is None:
         write_machine(described, to.value, out)
         return
     description = as_delta(described, Question.CODE)

@@ -70,7 +70,8 @@ def command(
     """
     from drivers.ethercat.interface import check_interface
     from drivers.ethercat.soem_master import Master, OffsetRamp, PositionRamp, follow
-    from schemas.questions import Question, load_delta
+    from schemas.axes_description import load_delta
+    from schemas.questions import Question
 
     description = load_delta(robot, Question.FIELDBUS, effects)
     check_interface(interface)

@@ -45,7 +45,7 @@ def command(
     from schemas.errors import StorageError
     from schemas.files import check_folder
     from schemas.messages import Role
-    from schemas.robot import Robot
+    from schemas.questions import Question
     from schemas.words import counted
     from service.cli.progress import counting
     from service.monitor.monitor_node import Monitor, run
@@ -58,7 +58,8 @@ def command(
     if path.exists():
         raise StorageError(f"{path}: exists already; give another name with --out")
     check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do
-    scene = ViewerScene(description) if isinstance(description, Robot) else None
+    viewed = description.answering(Question.VIEW)
+    scene = None if viewed is None else ViewerScene(viewed)
     stopped = stop_requested()
     with counting(f"monitor {name}", 0) as show:
         standing = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches

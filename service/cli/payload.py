@@ -56,7 +56,6 @@ def command(
     from schemas.axes_description import load_description
     from schemas.errors import DataError
     from schemas.questions import Question, as_delta
-    from schemas.robot import Robot
     from service.cli.load import weigh
     from service.identification.conclusion import of_payload
     from service.identification.weighed_picks import common_error, levels, payload_history, read_truth, score
@@ -64,7 +63,7 @@ def command(
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} logs; give one for each, in the same order")
     described = load_description(robot, effects)
-    if not isinstance(described, Robot) and not truth and predictions is None:
+    if described.answering(Question.PICKS) is None and not truth and predictions is None:
         weigh(traces, robot, described, columns, frame, json)
         return
     description = as_delta(described, Question.PICKS)

@@ -78,7 +78,6 @@ def command(
     from schemas.axes_description import load_description
     from schemas.files import check_apart, check_folder
     from schemas.questions import Question, as_delta
-    from schemas.robot import Robot
     from service.cli.joint_motion import plan_joints
     from service.planning.plan import at_rate
     from service.planning.question import PERIOD
@@ -87,7 +86,7 @@ def command(
     check_apart(out, robot)
     described = load_description(robot, effects)
     most = (max_speed, max_acceleration, max_torque)
-    if not isinstance(described, Robot) and purpose is Purpose.IDENTIFY:
+    if described.answering(Question.RIVALS) is None and purpose is Purpose.IDENTIFY:
         plan_joints(robot, described, out, duration, rate, seed, most, assume_limits, json)
         return
     description = as_delta(described, Question.RIVALS)

@@ -46,13 +46,12 @@ def command(
     from schemas.errors import DataError
     from schemas.files import make_folder, write_text
     from schemas.questions import Question, as_delta
-    from schemas.robot import Robot
     from service.cli.joint_rollout import roll_out
     from service.rollout.gap import PLAIN, compare
     from service.rollout.rollout_page import document, headline, write_rollout
 
     described = {str(path): load_description(path, effects) for path in robot}
-    others = [(Path(path).stem, one) for path, one in described.items() if not isinstance(one, Robot)]
+    others = [(Path(path).stem, one) for path, one in described.items() if one.answering(Question.COMMANDS) is None]
     if others and not commands:
         if len(others) < len(described):
             raise DataError(f"{robot[0]}, {robot[-1]}: compare descriptions of one machine")

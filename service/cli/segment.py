@@ -54,8 +54,9 @@ def command(
     from drivers.trace import write_trace
     from drivers.trace.mcap_file import to_trace
     from replay.realtime import go_realtime
+    from schemas.axes_description import load_delta
     from schemas.files import check_folder
-    from schemas.questions import Question, load_delta
+    from schemas.questions import Question
 
     if out:
         check_folder(out.parent)

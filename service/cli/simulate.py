@@ -100,7 +100,6 @@ def command(
     from schemas.errors import DataError
     from schemas.files import check_apart, check_folder
     from schemas.questions import Question, as_delta
-    from schemas.robot import Robot
 
     if out is None and not live:
         raise typer.BadParameter("give the file for the log (--out), or run --live", param_hint="--out")
@@ -113,7 +112,7 @@ def command(
             check_folder(path.parent)
             check_apart(path, robot, Path(motion))
     described = load_description(robot)
-    if not isinstance(described, Robot) and not live and (motion in OF_JOINTS or Path(motion).suffix):
+    if described.answering(Question.ROUTE) is None and not live and (motion in OF_JOINTS or Path(motion).suffix):
         assert out is not None
         simulate_joints(robot, described, motion, out, duration, rate, seed, (max_speed, max_acceleration, max_torque))
         return

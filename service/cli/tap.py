@@ -38,8 +38,9 @@ def command(
     from drivers.health import Health
     from replay.clock import wait_until
     from replay.realtime import go_realtime
+    from schemas.axes_description import load_delta
     from schemas.messages import Role
-    from schemas.questions import Question, load_delta
+    from schemas.questions import Question
 
     description = load_delta(robot, Question.FIELDBUS)
     path = Path(interface)

@@ -32,8 +32,9 @@ def command(
 
     Example: deltatwin view --robot d3.toml --layout d3.layout.json && deltatwin view --robot d3.toml
     """
+    from schemas.axes_description import load_delta
     from schemas.files import write_text
-    from schemas.questions import Question, load_delta
+    from schemas.questions import Question
 
     description = load_delta(robot, Question.VIEW)
     if layout is not None:

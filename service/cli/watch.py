@@ -45,7 +45,7 @@ def command(
 
     from drivers.bus import check_free, open_bus
     from replay.process import process
-    from schemas.axes_description import Axes, load_description
+    from schemas.axes_description import load_description
     from schemas.errors import DataError
     from schemas.files import make_folder
     from schemas.messages import LOAD, TOPICS, Role
@@ -65,7 +65,7 @@ def command(
         watch.warm_up()
     for trace in reading(reference or [], description, None, "learning"):
         samples = trace.samples(TOPICS[description.topics.sample])
-        carried = LOAD.empty(0) if isinstance(description, Axes) else process(description, samples).payload
+        carried = process(description, samples).payload if description.bears_load else LOAD.empty(0)
         watch.learn(trace, carried)
     if reference and watch.learnt < learn:
         typer.echo(

@@ -23,7 +23,6 @@ from schemas.diagnosis import Provenance
 from schemas.errors import DataError, DeltatwinError, StorageError
 from schemas.files import MIB, make_folder, opened, read_bytes, write_text
 from schemas.fleet_document import DayResult, Fleet, LogResult, RobotHistory
-from schemas.joints_description import Machine
 from schemas.robot import robot_file
 from schemas.trace import Trace
 from service.diagnosis.documents.document import document
@@ -32,11 +31,8 @@ from service.diagnosis.pipeline import diagnose
 from service.fleet.changes import changes
 from service.fleet.logs import Member
 from service.identification.evaluation import evaluate
-from service.identification.from_traces import identify
-from service.identification.joint_machines import identify_axes
-from service.identification.regression import summarise
+from service.identification.of_logs import identify_logs
 from service.model.effects import catalogue
-from service.model.nominal import pack
 
 MOST_OF_A_DAY = 64 * MIB  # bytes of a day's result
 NOT_PLACED = (
@@ -116,10 +112,7 @@ def _identified(robot: Member, settings: Settings) -> tuple[Path, str | None]:
             traces = [one for one in read if isinstance(one, Trace)]
             if not traces:
                 raise DataError(f"none of its {len(logs)} logs can be read; {read[0]}")
-            if isinstance(description, Machine):
-                found = identify_axes(description, traces)
-            else:
-                found = identify(description, [summarise(pack(description), trace) for trace in traces])
+            found, _ = identify_logs(description, traces)
             save_description(found.robot, path, template=robot.description)
         except StorageError:
             raise

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from schemas.axes_description import Description
-from schemas.joints_description import Machine
 from schemas.messages import PayloadEvent
+from schemas.questions import Question
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification.events import Event, JointRun, events, outside
@@ -83,8 +83,9 @@ def evaluate(robot: Description, trace: Trace) -> Evaluation:
     torque = predict_along(robot, trace, along)
     errors = {name: error_in_band(trace, along, values) for name, values in torque.items()}
     carried = None
-    if not isinstance(robot, Machine) and robot.identified is not None:
-        carried = _carried(robot, trace, along)
+    picking = robot.answering(Question.PICKS)
+    if picking is not None and robot.identified is not None:
+        carried = _carried(picking, trace, along)
     if carried is not None:
         errors[WITH_PAYLOAD] = error_in_band(trace, along, torque[FULL] + carried)
     # a model without friction misses every reversal: those are no events

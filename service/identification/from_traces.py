@@ -11,7 +11,6 @@ import numpy as np
 from schemas.axes_description import Description
 from schemas.errors import DataError
 from schemas.fitted import JointParameter
-from schemas.joints_description import Machine
 from schemas.robot import Robot
 from service.identification import checks, paper_method, pooled
 from service.identification.angle_unit import refuse_wrong_angles
@@ -62,7 +61,7 @@ def fit_to(robot: Description, recordings: Sequence[Recording], names: Sequence[
     Raises:
         DataError: logs of several rates, or the angles are no radians.
     """
-    problem, noise = pooled.problem_of(recordings, bare=isinstance(robot, Machine))
+    problem, noise = pooled.problem_of(recordings, bare=not recordings[0].mechanism.described_whole)
     fit = pooled.fit(problem, noise.sample, robot)
     refuse_wrong_angles(problem, ", ".join(names), fit.fitted)
     return fit
@@ -79,7 +78,8 @@ def written(
     if robot.effect:
         names = ", ".join(dict.fromkeys(effect.name for effect in robot.effect))
         said = f"{names}: from an earlier diagnosis, not used here; `diagnose` finds the effects that remain"
-        constants = ", `identify --carried` calibrates torque constants" if isinstance(robot, Robot) else ""
+        carries = fit.problem.recordings[0].mechanism.platform is not None
+        constants = ", `identify --carried` calibrates torque constants" if carries else ""
         warnings = [*warnings, said + constants]
     older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
     if fit.problem.bare and abs(base.timing) > TIMING_LIMIT * fit.problem.recordings[0].segment.period:

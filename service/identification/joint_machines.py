@@ -63,9 +63,9 @@ def identify_axes(
 def _of_log(axes: Axes | Chain, mechanism: Mechanism, rig: Rig | None, log: str) -> Mechanism:
     if rig is None:
         return mechanism
-    if isinstance(axes, Chain):
+    if axes.separate is None:
         raise RobotError(f"--rig {log}: {axes.name} is an arm: give its loads in the description, as payload")
-    return on_rig(axes, rig, log)
+    return on_rig(axes.separate, rig, log)
 
 
 def _commanded(fit: Plain, traces: Sequence[Trace]) -> list[str]:

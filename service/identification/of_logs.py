@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
-from schemas.axes_description import Description
+from schemas.axes_description import Axes, Description
+from schemas.chain_description import Chain
 from schemas.errors import RobotError
-from schemas.joints_description import Machine
+from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification.calibration import CalibratedFigure, calibrate
 from service.identification.copies import refuse_copies
@@ -34,14 +35,26 @@ def identify_logs(
         RobotError: `carried` or the paper's method for what is no Delta, `rigs` for what are no axes.
         DataError, TraceError: the data cannot give an answer, naming the log.
     """
-    if isinstance(description, Machine):
-        if carried:
-            raise RobotError(f"{description.origin}: --carried: it needs the platform of a Delta robot")
-        if method == "paper":
-            raise RobotError(f"{description.origin}: --method paper: the paper's method is for a Delta robot")
-        logs = list(logs)
-        refuse_copies(logs)
-        return identify_axes(description, logs, rigs), ()
+    return _WAYS[type(description)](description, logs, method, carried, rigs)
+
+
+def _of_joints(
+    description: Axes | Chain, logs: Iterable[Trace], method: Method, carried: Sequence[tuple[float, Trace]],
+    rigs: Sequence[Rig | None],
+) -> tuple[Identification, Sequence[CalibratedFigure]]:  # fmt: skip
+    if carried:
+        raise RobotError(f"{description.origin}: --carried: it needs the platform of a Delta robot")
+    if method == "paper":
+        raise RobotError(f"{description.origin}: --method paper: the paper's method is for a Delta robot")
+    logs = list(logs)
+    refuse_copies(logs)
+    return identify_axes(description, logs, rigs), ()
+
+
+def _of_delta(
+    description: Robot, logs: Iterable[Trace], method: Method, carried: Sequence[tuple[float, Trace]],
+    rigs: Sequence[Rig | None],
+) -> tuple[Identification, Sequence[CalibratedFigure]]:  # fmt: skip
     if any(rigs):
         raise RobotError(f"{description.origin}: --rig: it needs servo axes; for a known load of a Delta use --carried")
     if not carried:
@@ -53,3 +66,10 @@ def identify_logs(
     result = identify(found.robot, [summarise(model, found.true(trace)) for trace in logs], method)
     warnings = (*found.warnings, *result.warnings)
     return Identification(found.carried(result.robot), result.fit, warnings), found.figures
+
+
+_WAYS: dict[type, Callable[..., tuple[Identification, Sequence[CalibratedFigure]]]] = {  # a line a kind
+    Robot: _of_delta,
+    Axes: _of_joints,
+    Chain: _of_joints,
+}

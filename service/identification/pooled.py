@@ -22,7 +22,6 @@ import numpy as np
 
 from schemas.axes_description import Description
 from schemas.errors import DataError
-from schemas.robot import Robot
 from service.identification import bare as bare_model
 from service.identification import fit as solver
 from service.identification.fit import Problem
@@ -276,9 +275,7 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     if problem.bare:
         weighed, fitted, drawn = bare_model.refined(problem, fitted)
     known = base_parameters(problem.recordings[0].mechanism)
-    nominal = np.full(len(known), np.nan)
-    if isinstance(robot, Robot):
-        nominal[:3] = 1.0, 1.0, robot.mass.passive_link
+    nominal = np.array([robot.nominal.get(parameter.name, np.nan) for parameter in known])
     told = _told(weighed, fitted, known, nominal, drawn)
     base = fitted.hypothesis.base
     k, n = len(base.rigid), len(base.viscous)

@@ -12,7 +12,6 @@ import numpy as np
 from drivers.trace.from_columns import on_other_rows, signed
 from drivers.trace.tables import Table
 from schemas.axes_description import Description
-from schemas.chain_description import Chain
 from schemas.columns import CHANNELS, TIME_UNITS
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError
@@ -100,7 +99,7 @@ def _channels(
         DataError: it cannot be told.
     """
     joints = None if robot is None else robot.count
-    channels = guess(table, joints, robot.joints if isinstance(robot, Chain) else ())
+    channels = guess(table, joints, () if robot is None else robot.joint_names)
     channels = replace(
         channels,
         time=stated.time or (None if stated.rate_hz else channels.time),

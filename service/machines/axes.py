@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from schemas.axes_description import Axes
-from service.machines.machine import MachineModel
+from service.machines.machine import Limits, MachineModel, declared
 
 if TYPE_CHECKING:
     from service.machines.exported import MachineFile
@@ -17,6 +17,10 @@ class AxesMachine(MachineModel):
     def __init__(self, description: Axes):
         super().__init__(description)
         self.axes = description
+
+    def limits(self) -> Limits:
+        """As declared."""
+        return declared(Limits.none(self.axes.count), self.axes.limits)
 
     def to_mjcf(self) -> MachineFile:
         """For MuJoCo."""

@@ -10,7 +10,7 @@ import numpy as np
 from schemas.chain_description import Chain
 from schemas.errors import RobotError
 from service.machines.bodies import IdentifiedBodies, identified_bodies
-from service.machines.machine import Dynamics, Limits, MachineModel
+from service.machines.machine import Dynamics, Limits, MachineModel, declared
 from service.model.mechanism import SerialArm
 from service.model.scene import Base
 
@@ -56,7 +56,7 @@ class ChainMachine(MachineModel):
         """Of the URDF, where a speed or torque of zero is none; those of the description go before them."""
         low, high = np.array(self.chain.arm.limits).T
         speed, effort = np.array(self.chain.arm.most).T
-        return self._declared(Limits(low, high, speed, np.full(self.chain.count, np.inf), effort))
+        return declared(Limits(low, high, speed, np.full(self.chain.count, np.inf), effort), self.chain.limits)
 
     def place(self, theta: np.ndarray, frame: str | None = None) -> np.ndarray:
         """Of a link of the URDF."""

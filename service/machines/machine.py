@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from schemas.axes_description import Description
-from schemas.joints_description import Machine
+from schemas.joints_description import JointLimits
 from schemas.questions import Question, refuse
 from service.model.mechanism import Mechanism, mechanism_of
 from service.model.scene import Base
@@ -46,6 +46,12 @@ class Limits:
         return cls(-endless, endless, endless, endless, endless)
 
 
+def declared(limits: Limits, own: JointLimits) -> Limits:
+    """`limits` with those that a description declares."""
+    told = {"torque": own.torque, "speed": own.speed}
+    return replace(limits, **{key: np.array(values) for key, values in told.items() if values is not None})
+
+
 class MachineModel:
     """A described machine. A kind overrides what it answers."""
 
@@ -73,15 +79,7 @@ class MachineModel:
 
     def limits(self) -> Limits:
         """What the joints may do."""
-        return self._declared(Limits.none(self.mechanism.joints))
-
-    def _declared(self, limits: Limits) -> Limits:
-        """`limits` with those that the description declares."""
-        if not isinstance(self.description, Machine):
-            return limits
-        own = self.description.limits
-        told = {"torque": own.torque, "speed": own.speed}
-        return replace(limits, **{key: np.array(values) for key, values in told.items() if values is not None})
+        raise NotImplementedError
 
     def place(self, theta: np.ndarray, frame: str | None = None) -> np.ndarray:
         """(N, 3) m of a frame, by default the tool, at (N, n) angles, in the base frame."""

@@ -8,12 +8,11 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from schemas.axes_description import Axes, AxesIdentified, Description
-from schemas.chain_description import Chain, ChainIdentified
+from schemas.axes_description import AxesIdentified, Description
+from schemas.chain_description import ChainIdentified
 from schemas.errors import RobotError
 from schemas.fitted import Figures, Fitted, JointParameter
-from schemas.joints_description import Machine
-from schemas.robot import EffectEntry, EffectParameter, Identified, Robot
+from schemas.robot import EffectEntry, EffectParameter, Identified
 from service.model.effects import by_name, catalogue
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
@@ -96,11 +95,22 @@ def base_of(robot: Description) -> Base:
     Raises:
         RobotError: a coefficient of the arm is missing or none of its; a transition is missing.
     """
-    if isinstance(robot, Machine):
-        return _base_of_machine(robot)
-    identified = robot.identified or Identified()
-    base = _base(mechanism_of(robot), identified.figures, identified.friction_transition_radps)
-    return replace(base, timing=identified.torque_timing_s)
+    mechanism, known = mechanism_of(robot), robot.known
+    if known is None:
+        zero = np.zeros(len(mechanism.frictions))
+        return Base(mechanism.start, zero, zero)
+    transition = known.transition
+    if isinstance(transition, list) and len(transition) != len(mechanism.frictions):
+        raise RobotError(
+            f"robot {robot.name}: identified.friction_transition has {len(transition)} values, one or "
+            f"{len(mechanism.frictions)} are needed: {', '.join(mechanism.frictions)}"
+        )
+    robot.check_rigid(mechanism.coefficients)
+    return replace(
+        _base(mechanism, known.figures, np.array(transition) if isinstance(transition, list) else transition),
+        timing=known.torque_timing_s,
+        band_hz=known.band_hz,
+    )
 
 
 def _base(mechanism: Mechanism, figures: Figures, transition: float | np.ndarray) -> Base:
@@ -111,40 +121,6 @@ def _base(mechanism: Mechanism, figures: Figures, transition: float | np.ndarray
         for kind, names in (("", mechanism.coefficients), ("f_v_", mechanism.frictions), ("f_c_", mechanism.frictions))
     )
     return Base(rigid, viscous, coulomb, transition)
-
-
-def _base_of_machine(machine: Axes | Chain) -> Base:
-    mechanism, known = mechanism_of(machine), machine.identified
-    if known is None:
-        zero = np.zeros(len(mechanism.frictions))
-        return Base(mechanism.start, zero, zero)
-    transition = known.friction_transition
-    if isinstance(transition, list) and len(transition) != len(mechanism.frictions):
-        raise RobotError(
-            f"robot {machine.name}: identified.friction_transition has {len(transition)} values, one or "
-            f"{len(mechanism.frictions)} are needed: {', '.join(mechanism.frictions)}"
-        )
-    if isinstance(machine, Chain):
-        _check_rigid(machine, mechanism)
-    return replace(
-        _base(mechanism, known.figures, np.array(transition) if isinstance(transition, list) else transition),
-        timing=known.torque_timing_s,
-        band_hz=np.inf if known.torque_band_hz is None else known.torque_band_hz,
-    )
-
-
-def _check_rigid(chain: Chain, mechanism: Mechanism) -> None:
-    """
-    Raises:
-        RobotError: a coefficient of the arm is missing or none of its.
-    """
-    found = {} if chain.identified is None else chain.identified.rigid
-    for name in mechanism.coefficients:
-        if name not in found:
-            raise RobotError(f"robot {chain.name}: identified.rigid: {name!r} is missing")
-    for name in found:
-        if name not in mechanism.coefficients and chain.masses == "identified":
-            raise RobotError(f"robot {chain.name}: identified.rigid: {name!r} is not a parameter of {chain.urdf}")
 
 
 def base_errors(robot: Description) -> np.ndarray:
@@ -170,11 +146,7 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
     known = base_parameters(mechanism_of(robot))
     figures = {p.name: (float(v), float(e)) for p, v, e in zip(known, parameters.values, errors, strict=False)}
     identified = identified_of(robot, figures, hypothesis.base)
-    if isinstance(robot, Robot):
-        before = robot.identified or Identified()
-        kept = {name: getattr(before, name) for name in ("torque_commanded", "torque_constant_error")}
-        noise_nm = JointParameter(value=_digits(noise))
-        identified = identified.model_copy(update={"torque_noise_nm": noise_nm} | kept)
+    identified = robot.refitted(identified, JointParameter(value=_digits(noise)))
     return robot.model_copy(update={"identified": identified, "effect": entries})
 
 

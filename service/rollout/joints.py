@@ -22,6 +22,7 @@ from service.machines.forward_runs import run
 from service.machines.machine import MachineModel
 from service.model.description import hypothesis_of
 from service.model.hypothesis import Hypothesis
+from service.model.mechanism import mechanism_of
 from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, one_period, segments_of, thin
 from service.model.torque import predict, unreported
@@ -203,7 +204,7 @@ def named(machines: Sequence[tuple[str, Axes | Chain]]) -> dict[str, Axes | Chai
         DataError: one is another machine than the first.
     """
     (first, given), result = machines[0], {}
-    if isinstance(given, Chain):
+    if mechanism_of(given).unidentified:
         result[PLAIN] = plain(given)
     for name, machine in machines:
         if not machine.has_joints_of(given):

@@ -11,8 +11,7 @@ from scipy.ndimage import binary_dilation, grey_opening, maximum_filter1d, media
 
 from drivers.trace.quality import RowNames, check
 from schemas.axes_description import Description
-from schemas.messages import NANOSECONDS, Gripper, SampleFlag, stamp_ns
-from schemas.robot import Robot
+from schemas.messages import NANOSECONDS, OF_DELTA, OF_JOINTS, Gripper, SampleFlag, stamp_ns
 from schemas.trace import Trace
 
 KEEP_S = 180.0
@@ -22,6 +21,8 @@ TICK_S = 0.05  # that what the estimator sees is kept by
 SPIKE, DOUBT = 5, 9  # ticks, of a median: a release swings below what is left, and is told with a great doubt
 EARLY_S = 0.2  # a pick lasts that long at most before the estimator of a Delta sees it
 EARLY_ARM_S = 1.5  # that of an arm: half a second agrees with another load, the next half confirms it
+# Field with the standard deviation of the mass in each payload message, and how late that message may tell of a load.
+_OF_LOAD = {OF_DELTA.payload: ("std_dev", EARLY_S), OF_JOINTS.payload: ("mass_random", EARLY_ARM_S)}
 BAND_S = 0.05  # that the analysis band smears it over
 LONGEST_PICK_S = 10.0  # a mass that stays for longer is no pick but the robot's
 STRAY_S = 10.0  # from the middle of what came together: a stamp of another clock
@@ -49,8 +50,7 @@ class Kept:
     def __init__(self, robot: Description) -> None:
         self._count, self._angular = robot.count, robot.angular
         self._row = _row(robot.count)
-        delta = isinstance(robot, Robot)
-        self._doubt, self._early = ("std_dev", EARLY_S) if delta else ("mass_random", EARLY_ARM_S)
+        self._doubt, self._early = _OF_LOAD[robot.topics.payload]
         self.epoch = 0  # bus time, ns, of the first sample
         self._parts: deque[np.ndarray] = deque()
         self._rows = 0

@@ -26,7 +26,7 @@ from schemas.diagnosis import (
     Rival,
 )
 from schemas.fitted import JointParameter
-from schemas.robot import Robot
+from schemas.questions import Question
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.located import located
@@ -63,18 +63,12 @@ def identified(findings: Findings) -> Description:
 def _with_what_logs_tell(
     findings: Findings, known: Description, residuals: Sequence[np.ndarray], ahead: float | None
 ) -> Description:
-    """A robot's description with what `residuals` on data left out are above the noise, and whether a command may stand
-    for the reported torque, or so many s `ahead` of it for the one that acts."""
-    if not isinstance(known, Robot) or known.identified is None:
-        return known
+    """A description with what `residuals` on data left out are above the noise, and whether a command may stand for the
+    reported torque, or so many s `ahead` of it for the one that acts, as far as it can say so."""
     left = statistics.rms_per_joint(findings.problem, residuals)
     error = np.sqrt(np.maximum(left**2 - findings.problem.sigma**2, 0.0))
-    told = {
-        "model_error_nm": JointParameter(value=[digits(e) for e in error]),
-        "torque_commanded": known.identified.torque_commanded or findings.commanded,
-        "torque_command_ahead_s": None if ahead is None else digits(ahead),
-    }
-    return known.model_copy(update={"identified": known.identified.model_copy(update=told)})
+    model_error = JointParameter(value=[digits(e) for e in error])
+    return known.with_left(model_error, findings.commanded, None if ahead is None else digits(ahead))
 
 
 def made_from(paths: Iterable[Path]) -> Provenance:
@@ -303,7 +297,7 @@ def _ranking(findings: Findings, comparisons: list[ModelComparison]) -> list[Ran
 def _rivals(findings: Findings, comparisons: list[ModelComparison]) -> list[Rival]:
     """The candidates of the round that is decided least, as far as the gap shrinks by them."""
     comparison = undecided(findings.selection, comparisons)
-    if comparison is None or not isinstance(findings.robot, Robot):  # motions are planned for a Delta
+    if comparison is None or findings.robot.answering(Question.RIVALS) is None:
         return []
     found = []
     for scored, probability in comparison.candidates:

@@ -16,6 +16,7 @@ import numpy as np
 from schemas.diagnosis import OnlineFigures, OnlineTrial
 from schemas.errors import TraceError
 from schemas.messages import PayloadEvent, SampleFlag
+from schemas.questions import Question, as_delta
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.documents.document import corrected, identified
@@ -69,8 +70,8 @@ def online_trial(
     Raises:
         TraceError: a log of `loaded` cannot be used, naming the file.
     """
-    robot, better = findings.robot, corrected(findings)
-    if not isinstance(robot, Robot) or not isinstance(better, Robot):
+    better = corrected(findings).answering(Question.PICKS)
+    if better is None:
         return None
     terms = findings.best.hypothesis.terms
     if left_out := sorted({term.effect.name for term in terms if not carried(term.effect)}):
@@ -83,8 +84,7 @@ def online_trial(
         return OnlineTrial(reason="no_rest")
     if not loaded and inside_of(terms).two_masses:  # a pick makes links swing, which only a robot does
         cases = [replace(case, trace=case.bare or case.trace, bare=None, picks=()) for case in cases]
-    known = identified(findings)
-    assert isinstance(known, Robot)
+    known = as_delta(identified(findings), Question.PICKS)
     best, floor = findings.best.hypothesis, _floor(findings)
     late = replace(best, terms=tuple(term for term in terms if term.effect.name in LATE))
     figures = [_figures(description, cases, late, floor) for description in (known, better)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.diagnosis import Shrunk, Simulated, Unseen
 from schemas.errors import NoWindowError
-from schemas.robot import Robot
+from schemas.questions import Question
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.findings import Findings
@@ -69,8 +69,8 @@ def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
     from service.rollout.packed import left_out
     from service.rollout.rollout_page import reached
 
-    robot = findings.robot
-    if not isinstance(robot, Robot):
+    robot = findings.robot.answering(Question.COMMANDS)
+    if robot is None:
         return None
     robots = {}
     for name, hypothesis in (("before", findings.reference), ("after", findings.best.hypothesis)):

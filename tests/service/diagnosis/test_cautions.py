@@ -175,14 +175,14 @@ def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told)
     none, best = (stub(residuals=[np.array(level)[joints]], hypothesis=bare, loss=1.0) for level in levels.values())
     one = Follows(joint=joint, what=what, other=other, share=share)
 
-    def doubts(before: list[Follows], after: list[Follows], kind: str = "axes") -> list[tuple]:
-        made = rows_of(np.array([0.5, 2.0, 1.0, 1.0, 1.0]), stub(mechanism=stub(kind=kind)))
+    def doubts(before: list[Follows], after: list[Follows], closed: bool = False) -> list[tuple]:
+        made = rows_of(np.array([0.5, 2.0, 1.0, 1.0, 1.0]), stub(mechanism=stub(closed=closed)))
         found = base_doubts(made, before, after, none, best)
         return [(caution.code, caution.joints, caution.share) for caution in found]
 
     assert doubts([one], []) == told
     assert doubts([one, one], [one])[1:] == [], "said once"
-    assert doubts([one], [], "delta") == [], "a Delta's base knows its other joints"
+    assert doubts([one], [], closed=True) == [], "a Delta's base knows its other joints"
     left = one.model_copy(update={"share": 0.31})
     assert bool(doubts([], [left])) == (joint < 3 and what != "position_error"), "of what effects leave, 0.3 is much"
     assert doubts([], [one.model_copy(update={"share": 0.29})]) == []
@@ -249,7 +249,7 @@ def test_a_term_that_is_a_weight_is_the_bases_however_little_it_takes():
         for level in ([5.0, 5.0, 3.0], [3.0, 5.0, 2.0])
     )
     angles = [np.array([[0.0, 0.0, -1.0], [1.0, 0.5, 0.0]]), np.array([[2.0, 0.0, 1.0]])]
-    mechanism = stub(kind="axes", gear_ratio=[20.0, 5.0, 30.0])
+    mechanism = stub(closed=False, gear_ratio=[20.0, 5.0, 30.0])
     runs = (stub(mechanism=mechanism, segment=stub(theta=theta)) for theta in angles)
     made = rows_of(np.array([0.5, 2.0, 1.0]), *runs)
     follow = Follows(joint=3, what="sine_of_angle", other=None, share=0.9)
@@ -270,7 +270,7 @@ def test_what_is_passed_over_does_not_hide_what_follows():
         stub(residuals=[np.array(level)[joints]], hypothesis=stub(terms=()))
         for level in ([5.0, 1.0, 30.0], [5.0, 1.0, 1.05])
     )
-    made = rows_of(np.ones(3), stub(mechanism=stub(kind="axes")))
+    made = rows_of(np.ones(3), stub(mechanism=stub(closed=False)))
     told = Follows(joint=1, what="motion", other=2, share=0.9)
     passed: list[Follows] = [
         Follows(joint=1, what="position_error", other=None, share=0.9),

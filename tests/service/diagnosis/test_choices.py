@@ -294,12 +294,12 @@ def searched(
     none: float = 200.0,
     promise: float = 50.0,
     fault: object = None,
-    kind: str = "delta",
+    closed: bool = True,
     begun: selection.Selection | None = None,
 ):
     """A search of 100 rows from `none`; rounds: the losses of what is tried. promise: that all of them are ranked at.
-    fault: found in the second round, or where a search goes on at once. kind: of the mechanism; a Delta's are put in
-    order once more, here backwards. begun: to go on with."""
+    fault: found in the second round, or where a search goes on at once. closed: of the mechanism; those of a closed
+    chain are put in order once more, here backwards. begun: to go on with."""
     effect, asked, said = stub(name="an_effect", amplitudes={"size": 0}), [], []
 
     class Dictionary:
@@ -325,7 +325,7 @@ def searched(
     }  # fmt: skip
     for name, part in parts.items():
         monkeypatch.setattr(selection, name, part)
-    problem = stub(count=100, most=1.0, weights=None, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
+    problem = stub(count=100, most=1.0, weights=None, recordings=[stub(mechanism=stub(closed=closed, joints=3))])
     start = Hypothesis(BASE, timed=False)
     found = selection.search(
         stub(problem=problem, split=stub(), start=start, effects=[effect]), said.append, begun=begun
@@ -352,7 +352,7 @@ def searched(
 def test_a_search_goes_on_while_something_is_gained(monkeypatch, rounds, path):
     """Five candidates a round, four rounds; what was tried last and not taken is kept too."""
     none = 900.0 if len(rounds) == 5 else 200.0
-    found, told = searched(monkeypatch, *rounds, none=none, kind="axes")
+    found, told = searched(monkeypatch, *rounds, none=none, closed=False)
     assert told == path
     assert found.none.loss == pytest.approx(none)
     assert found.best.loss == [taken for _, taken in path if taken is not None][-1]

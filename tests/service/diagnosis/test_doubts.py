@@ -22,7 +22,7 @@ AWAY = np.array([0.48, -0.64, 0.6])  # where gravity pulls too
 @pytest.fixture
 def not_a_delta(monkeypatch):
     """Of a Delta the residual is opened as discrepancies, whatever its size."""
-    monkeypatch.setattr("service.model.mechanism.Delta.kind", "axes")
+    monkeypatch.setattr("service.model.mechanism.Delta.described_whole", False)
 
 
 def found(*terms: Term, left: float = 1.0, gap: float = 9.0, limit: float = LIMIT, **logs) -> list[Caution]:
