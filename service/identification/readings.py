@@ -7,10 +7,10 @@ sure the log stays as recorded and it is said that it could not be told.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from schemas.axes_description import Axes, Description
 from schemas.chain_description import Chain
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError, RobotError
-from schemas.joints_description import Machine
 from schemas.robot import Robot
 from schemas.units import (
     CONSTANTS,
@@ -158,8 +157,8 @@ class Candidates:
         if robot is not None and robot.linear:
             return [{"unit": unit}] if unit else [{"unit": "mm" if self._farthest() > 10 else "m"}]
         others = [] if stated.position_unit else [one for one in ("rad", "deg") if one != unit]
-        if unit is None and isinstance(robot, Axes):
-            others.append("turns")  # nothing else that is known of an axis tells them from radians
+        if unit is None and robot is not None and not robot.swings and not robot.travels:
+            others.append("turns")  # nothing that is known of the joints tells them from radians
         elif unit is not None:
             others = others if robot is not None and unit in ("rad", "deg") else []
         units = [unit] if unit else []
@@ -219,7 +218,7 @@ class Candidates:
                 )
             reasons.append(f"positions are increments, {stated.counts_per_m:g} per metre")
             return [{"unit": "counts", "counts_per_m": stated.counts_per_m}]
-        per_turn = stated.counts_per_rev or _counts(robot)
+        per_turn = stated.counts_per_rev or (robot and robot.counts_per_turn)
         if per_turn is None:
             raise DataError(
                 f"{self._table.path}: positions are increments: how many per turn of the encoder? Give "
@@ -242,16 +241,17 @@ class Candidates:
 
     def _plausible(self, scale: float) -> bool:
         """Whether a joint could go so far and so fast."""
-        delta = isinstance(self._robot, Robot) or self._robot is None
-        fastest = MAX_SPEED if delta else FASTEST
-        limits = np.array([high - low for low, high in self._robot.arm.limits]) if isinstance(self._robot, Chain) else 0
+        robot = self._robot
+        swings = robot is None or robot.swings
+        fastest = MAX_SPEED if swings else FASTEST
+        most = np.array([] if robot is None else [travel.high - travel.low for travel in robot.travels])
         for values in self._values:
             if np.nanquantile(np.abs(np.diff(values, axis=0)) * scale * self._rate, 0.99) > fastest:
                 return False
-            if delta and np.nanmax(np.abs(values) * scale) > ANY_JOINT:
+            if swings and np.nanmax(np.abs(values) * scale) > ANY_JOINT:
                 return False
             span = np.nanmax(values, axis=0) - np.nanmin(values, axis=0)
-            if isinstance(self._robot, Chain) and (span * scale > BEYOND_LIMITS * limits).any():
+            if len(most) and (span * scale > BEYOND_LIMITS * most).any():
                 return False
         return True
 
@@ -260,7 +260,7 @@ class Candidates:
         if self._gear == 1.0 or entry["unit"] in LINEAR:
             return [entry]
         both = [entry, entry | {"side": "motor"}]
-        if isinstance(self._robot, Machine):
+        if self._robot is not None and not self._robot.swings:
             return both
         farthest = self._farthest()
         return [one for one in both if np.max(farthest * scale_of(one, self._gear)) <= ANY_JOINT] or [entry]
@@ -272,6 +272,7 @@ class Candidates:
             DataError: it takes a constant that only a Delta's masses could tell.
         """
         names = self._channels.torque
+        by_masses = self._robot is not None and self._robot.masses_tell_torque
         factor: float | Sequence[float] | None = None
         if self._stated.torque_unit is not None:
             unit, factor = self._stated.torque_unit
@@ -293,30 +294,20 @@ class Candidates:
         told = unit is not None
         if unit is None:
             unit = "N" if self._robot and self._robot.linear else "N m"
-            if not isinstance(self._robot, Robot):
+            if not by_masses:
                 doubts.append(f"torques are assumed to be {unit}: the file does not say")
         entry: dict[str, Any] = {"unit": unit}
         if unit in SHARES:
-            entry["rated"] = factor or _rated(self._robot)
+            entry["rated"] = factor or (self._robot and self._robot.full_scale_nm)
         elif unit in CONSTANTS:
             entry["constant"] = factor
         missing = next((key for key in ("rated", "constant") if key in entry and entry[key] is None), None)
-        if missing and not isinstance(self._robot, Robot):
+        if missing and not by_masses:
             what = "rated torque" if missing == "rated" else "torque per unit"
             raise DataError(
                 f"{self._table.path}: torques are {unit}; the {what} is unknown: give --torque-unit '{unit} NUMBER'"
             )
         return entry, told
-
-
-def _counts(robot: Description | None) -> float | None:
-    drives = robot.drive.joint if isinstance(robot, Robot) else None
-    return float(drives[0].counts_per_turn) if drives else None
-
-
-def _rated(robot: Description | None) -> float | None:
-    drives = robot.drive.joint if isinstance(robot, Robot) else None
-    return float(drives[0].torque.full_scale_nm) if drives else None
 
 
 def factor_of(torque: Mapping[str, Any]) -> np.ndarray | None:
@@ -363,10 +354,8 @@ def judge(
     runs: positions and torques as they stand in the log. told: whether the positions' unit and that of
     the torques were said by the file or the user.
     """
-    if isinstance(robot, Robot):
-        found = [_of_delta(robot, runs, position, torque, told[1]) for position in positions]
-    else:
-        found = [_of_machine(robot, runs, position, torque) for position in positions]
+    way = _WAYS[type(robot)]
+    found = [way.read(robot, runs, position, torque, told[1]) for position in positions]
     tried = [one.left or Left(np.array([np.inf]), np.array([0.0])) for one in found]
     choice = choose(tried)
     best = found[choice.taken]
@@ -374,12 +363,7 @@ def judge(
         best.reasons.append("positions are of the motor: no joint turns that far")
     if choice.second is not None:
         _tell_choice(best, found[choice.second], choice, told[0], named(positions[0]))
-    if isinstance(robot, Chain):
-        best = _of_arm(robot, runs, best)
-        best.doubts.extend(_of_masses(robot, runs, best))
-        return best
-    _doubt_gear(robot, runs, best, torque)
-    return best
+    return way.settle(robot, runs, best, torque)
 
 
 def _tell_choice(best: Reading, second: Reading, choice: _Choice, told: bool, recorded: str) -> None:
@@ -403,11 +387,10 @@ def _percent(share: float) -> str:
 
 
 def _of_machine(
-    robot: Description, runs: Sequence[Run], position: dict[str, Any],
-    torque: dict[str, Any],
+    robot: Axes | Chain, runs: Sequence[Run], position: dict[str, Any],
+    torque: dict[str, Any], _told: bool,
 ) -> Reading:  # fmt: skip
-    """Signs with which a machine's inertia and friction are not negative, each joint for itself."""
-    assert not isinstance(robot, Robot)
+    """Signs with which a machine's inertia and friction are not negative, each joint for itself: whatever its unit."""
     count = robot.count
     reading = Reading(position, torque, None, [1] * count, [1] * count)
     try:
@@ -460,6 +443,13 @@ def _torque_signs(sums: MachineSums, count: int) -> tuple[list[int], np.ndarray]
         if odds[joint] <= -SURE:
             signs = other
     return signs, odds
+
+
+def _settle_arm(robot: Chain, runs: Sequence[Run], best: Reading, _torque: dict[str, Any]) -> Reading:
+    """`best` as an arm's weight and the masses of its URDF settle it."""
+    best = _of_arm(robot, runs, best)
+    best.doubts.extend(_of_masses(robot, runs, best))
+    return best
 
 
 def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
@@ -627,18 +617,15 @@ def _told(torque: Mapping[str, Any]) -> str:
     return torque["unit"] if constant is None else f"{torque['unit']} with {constant:g} N m per {torque['unit']}"
 
 
-def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque: dict[str, Any]) -> None:
-    """Say where another gear ratio, or another number of increments, is sure to be likelier than that described."""
+def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque: dict[str, Any]) -> Reading:
+    """`best`, with a doubt where another gear ratio, or another number of increments, is sure to be likelier than that
+    described."""
     turns = best.position.get("side") == "motor" or "counts_per_rev" in best.position
     if best.left is None or not turns or best.share < FLOOR:
-        return
+        return best
     for times in OFTEN_WRONG:
         other = [replace(run, position=run.position / times) for run in runs]
-        there = (
-            _of_delta(robot, other, best.position, torque, True)
-            if isinstance(robot, Robot)
-            else _of_machine(robot, other, best.position, torque)
-        )
+        there = _WAYS[type(robot)].read(robot, other, best.position, torque, True)
         if there.left is None or there.share > HOPELESS:  # it explains as little
             continue
         if log_odds(there.left, best.left) >= SURE:
@@ -646,4 +633,21 @@ def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque:
                 f"with {times:g} times the gear ratio or increments per turn, {_percent(there.share)} of the torque "
                 f"would remain unexplained instead of {_percent(best.share)}: are they right?"
             )
-            return
+            break
+    return best
+
+
+class _Way(NamedTuple):
+    """How a kind of machine judges a reading of its log. read: (description, runs, position, torque, whether its unit
+    was said) to what that leaves. settle: (description, runs, the likeliest reading, torque as recorded) to the final
+    one."""
+
+    read: Callable[[Any, Sequence[Run], dict[str, Any], dict[str, Any], bool], Reading]
+    settle: Callable[[Any, Sequence[Run], Reading, dict[str, Any]], Reading]
+
+
+_WAYS: dict[type, _Way] = {  # a line a kind
+    Robot: _Way(_of_delta, _doubt_gear),
+    Axes: _Way(_of_machine, _doubt_gear),
+    Chain: _Way(_of_machine, _settle_arm),
+}

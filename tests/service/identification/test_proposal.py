@@ -444,9 +444,9 @@ def test_the_scale_of_a_position(position: dict[str, Any], scale: float) -> None
 def test_a_drive_that_is_described_says_its_counts_and_its_rated_torque(robot: Robot) -> None:
     drive: Any = stub(joint=[stub(counts_per_turn=4096, torque=stub(full_scale_nm=7.0))])
     described = robot.model_copy(update={"drive": drive})
-    assert (readings._counts(described), readings._rated(described)) == (4096.0, 7.0)
-    assert (readings._counts(robot), readings._rated(robot)) == (None, None)
-    assert (readings._counts(AXIS), readings._rated(AXIS)) == (None, None)
+    assert (described.counts_per_turn, described.full_scale_nm) == (4096.0, 7.0)
+    assert (robot.counts_per_turn, robot.full_scale_nm) == (None, None)
+    assert (AXIS.counts_per_turn, AXIS.full_scale_nm) == (None, None)
 
 
 def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared: Robot, log: Trace) -> None:

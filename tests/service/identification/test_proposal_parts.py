@@ -281,7 +281,7 @@ def test_of_two_ways_to_read_positions_that_recorded_is_left_but_for_one_that_is
         share = shares[position["unit"], position.get("side", "")]
         return Reading(position, {"unit": "N m"}, left_of(share), UP, UP, [f"reason {share}"], [f"doubt {share}"])
 
-    monkeypatch.setattr(readings, "_of_delta", of_delta)
+    monkeypatch.setitem(readings._WAYS, Robot, readings._WAYS[Robot]._replace(read=of_delta))
     made = delta_table()
     slow = {name: 0.01 * values if name[0] == "q" else values for name, values in made.columns.items()}
     found = propose(Table(made.path, made.kind, slow), geared, Stated(position=JOINTS.position))
@@ -370,7 +370,7 @@ def test_positions_that_no_joint_turns_are_said_to_be_the_motors(
     def of_delta(robot: Robot, runs: Any, position: dict[str, Any], *rest: Any) -> Reading:
         return Reading(position, {"unit": "N m"}, left_of(0.01 if "side" in position else 0.02), UP, UP)
 
-    monkeypatch.setattr(readings, "_of_delta", of_delta)
+    monkeypatch.setitem(readings._WAYS, Robot, readings._WAYS[Robot]._replace(read=of_delta))
     made = delta_table()
     far = {name: farthest * np.sin(values) if name[0] == "q" else values for name, values in made.columns.items()}
     described = robot.model_copy(update={"drive": Drive(gear_ratio=gear)})
@@ -392,7 +392,7 @@ def test_positions_that_no_joint_turns_are_said_to_be_the_motors(
 def test_a_torques_unit_stands_there_or_is_told_and_its_drive_says_what_is_rated(
     monkeypatch: pytest.MonkeyPatch, unit: Any, name: str, entry: dict[str, Any], reason: str | None
 ) -> None:
-    monkeypatch.setattr(readings, "_rated", lambda robot: 12.0)
+    monkeypatch.setattr(Axes, "full_scale_nm", property(lambda _: 12.0))
     made = Table(Path("log.csv"), "text", {"q": np.arange(9.0), name: np.arange(9.0)})
     units = readings.Candidates([made], Channels(None, ("q",), (name,)), TURNING, 1.0, Stated(torque_unit=unit))
     reasons: list[str] = []
