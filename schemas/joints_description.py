@@ -115,10 +115,6 @@ class Machine(Described):
         """Motors, from 0, that turn with several joints."""
         return [int(i) for i in np.flatnonzero(np.count_nonzero(self.motors, axis=1) > 1)]
 
-    def has_joints_of(self, other: Machine) -> bool:
-        """Whether it describes the same joints, as far as they are told apart."""
-        return type(self) is type(other) and (self.count, self.joint_names) == (other.count, other.joint_names)
-
     @property
     def mapping(self) -> str | None:
         return self.files.get("columns", self.columns) or None

@@ -353,8 +353,9 @@ class Travel(NamedTuple):
 
 
 class Described(TomlTable):
-    """What descriptions of all kinds say of n joints."""
+    """What descriptions of all kinds say of n joints. called: the kind, in words."""
 
+    called: ClassVar[str]
     name: RobotName  # of the robot, in keys, topics and reports
     _source: Source = PrivateAttr(Source())
 
@@ -401,6 +402,10 @@ class Described(TomlTable):
     def count(self) -> int:
         """n."""
         raise NotImplementedError
+
+    def has_joints_of(self, other: Described) -> bool:
+        """Whether it describes the same joints, as far as they are told apart."""
+        return type(self) is type(other) and (self.count, self.joint_names) == (other.count, other.joint_names)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -11,14 +11,13 @@ from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from schemas.axes_description import Axes
-    from schemas.chain_description import Chain
+    from schemas.axes_description import Description
     from service.rollout.joints import JointRollout
 
 
 def roll_out(
     traces: Sequence[Path],
-    machines: Sequence[tuple[str, Axes | Chain]],
+    machines: Sequence[tuple[str, Description]],
     paths: Sequence[Path],
     columns: str | None,
     horizon: float,

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.axes_description import Axes
-from schemas.chain_description import Chain
+from schemas.axes_description import Description
 from schemas.errors import DataError, NoWindowError, UnansweredError
 from schemas.trace import Trace
 from service.identification.noise import white_noise
@@ -78,13 +77,13 @@ class _Cut:
     starts: np.ndarray
 
 
-def plain(machine: Axes | Chain) -> Axes | Chain:
+def plain(machine: Description) -> Description:
     """The description as it was drawn up."""
     return machine.model_copy(update={"identified": None, "effect": []})
 
 
 def compare(
-    machines: dict[str, Axes | Chain],
+    machines: dict[str, Description],
     traces: Sequence[Trace],
     horizon: float,
     progress: Callable[[str], None] = lambda _: None,
@@ -197,7 +196,7 @@ def _joined(name: str, deviations: Sequence[Deviation]) -> Deviation:
     return Deviation(name, np.concatenate([one.joint for one in deviations]), growth, tool)
 
 
-def named(machines: Sequence[tuple[str, Axes | Chain]]) -> dict[str, Axes | Chain]:
+def named(machines: Sequence[tuple[str, Description]]) -> dict[str, Description]:
     """By name, an arm first as its URDF has it.
 
     Raises:
