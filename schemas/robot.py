@@ -458,8 +458,8 @@ class Described(TomlTable):
 
     @property
     def swings(self) -> bool:
-        """Whether its joints turn to and fro, no further and no faster than any Delta's; others may go round and round,
-        as fast as a motor."""
+        """Whether its joints turn to and fro, within half a turn and at the speed of a Delta's arm; others may turn
+        many times, as fast as a motor."""
         return False
 
     @property
@@ -469,7 +469,7 @@ class Described(TomlTable):
 
     @property
     def travels(self) -> tuple[Travel, ...]:
-        """Of each joint, in a frame whose zero the log need not share; empty: nothing says it."""
+        """Of each joint, from a zero that may differ from that of the log; empty: not known."""
         return ()
 
     @property
@@ -483,8 +483,8 @@ class Described(TomlTable):
         return True
 
     @property
-    def masses_tell_torque(self) -> bool:
-        """Whether its masses tell the unit of a log's torque."""
+    def masses_scale_torque(self) -> bool:
+        """Whether its masses determine the unit of a log's torque."""
         return False
 
     @property
@@ -499,7 +499,7 @@ class Described(TomlTable):
 
     @property
     def nominal(self) -> dict[str, float]:
-        """Coefficients of the base model, by name, that stay as they are where logs cannot tell them."""
+        """Coefficients of the base model, by name, that keep this value where logs do not determine them."""
         return {}
 
     def check_rigid(self, coefficients: Collection[str]) -> None:
@@ -514,8 +514,8 @@ class Described(TomlTable):
         return section
 
     def with_left(self, error: JointParameter, commanded: bool, ahead_s: float | None) -> Self:
-        """With what logs tell of the model, where its `[identified]` section has a place for it. error: `model_error`.
-        commanded: whether the reported torque is the command, or that is so many s ahead of what acts."""
+        """With what held-out logs show of the model, as far as its `[identified]` section contains it. error:
+        `model_error`. commanded: whether the reported torque is the command; ahead_s: by which the command is ahead."""
         return self
 
     @property
@@ -578,7 +578,7 @@ class Robot(Described):
         return True
 
     @property
-    def masses_tell_torque(self) -> bool:
+    def masses_scale_torque(self) -> bool:
         return True
 
     @property

@@ -91,7 +91,7 @@ def readout_of(robot: Robot, terms: Sequence[Term]) -> Readout:
 def of_own_joint(effect: Effect) -> bool:
     """Whether the online form needs the joint's own motion alone, and nothing of a Delta."""
     own = effect.per_joint and effect.own_joint and not effect.by_load
-    return effect.name in _INSTANT and own and effect.kinds > {"delta"}
+    return effect.name in _INSTANT and own and len(effect.kinds) > 1
 
 
 def pack_effects(terms: Sequence[Term], record: np.dtype = EFFECT) -> np.ndarray:

@@ -272,7 +272,7 @@ class Candidates:
             DataError: it takes a constant that only a Delta's masses could tell.
         """
         names = self._channels.torque
-        by_masses = self._robot is not None and self._robot.masses_tell_torque
+        by_masses = self._robot is not None and self._robot.masses_scale_torque
         factor: float | Sequence[float] | None = None
         if self._stated.torque_unit is not None:
             unit, factor = self._stated.torque_unit
