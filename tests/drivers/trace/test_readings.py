@@ -10,6 +10,7 @@ import pytest
 from drivers.trace import find_columns, read_trace
 from schemas.axes_description import Axes, load_axes
 from schemas.errors import TraceError
+from schemas.robot import load_robot
 from tests.service import arm
 
 COLUMNS = """joints = 3
@@ -123,6 +124,29 @@ def test_a_log_that_the_urdf_does_not_fit(tmp_path: Path) -> None:
         read_trace(log, robot)
     with pytest.raises(TraceError, match=r"log.csv: 3 axes, small is described with 2"):
         read_trace(arm.record(tmp_path / "log.csv", 1), load_axes(_two(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("joints", "angle", "force", "said"),
+    [
+        (6, "rad", "nm", "6 axes, d3-1200 is described with 3"),
+        (3, "m", "n", "an axis in m, d3-1200 is described otherwise"),
+    ],
+)
+def test_a_log_of_another_machine_than_the_delta_described(
+    tmp_path: Path, joints: int, angle: str, force: str, said: str
+) -> None:
+    time = np.arange(100) * 1e-3
+    wave = 0.1 * np.sin(time)[:, None] * np.ones(joints)
+    names = [
+        f"{name}_{joint + 1}_{unit}"
+        for name, unit in (("position", angle), ("torque", force))
+        for joint in range(joints)
+    ]
+    log = tmp_path / "log.csv"
+    np.savetxt(log, np.column_stack([time, wave, wave]), "%.10g", ",", header=",".join(["time_s", *names]), comments="")
+    with pytest.raises(TraceError, match=f"log.csv: {said}"):
+        read_trace(log, load_robot("d3-1200"))
 
 
 def _two(folder: Path) -> Path:
