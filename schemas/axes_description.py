@@ -105,7 +105,7 @@ class Axes(Machine):
 
     @property
     def separate(self) -> Axes | None:
-        """Itself."""
+        """Itself: one of its axes may be on a rig of its own, where it moves a body that is known."""
         return self
 
     @property

@@ -115,7 +115,7 @@ class Chain(Machine):
 
     @property
     def separate(self) -> None:
-        """None: its joints bear each other."""
+        """None: its joints bear each other, and none is on a rig of its own."""
 
     @property
     def travels(self) -> tuple[Travel, ...]:
