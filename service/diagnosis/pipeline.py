@@ -32,10 +32,12 @@ from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import WITHIN_NOISE, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.angle_unit import refuse_wrong_angles
+from service.identification.checks import refuse_misread
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
 from service.identification.noise import Floor
+from service.identification.regression import products
 from service.identification.torque_source import command_ahead, is_commanded
 from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
@@ -62,7 +64,7 @@ def diagnose(
     Raises:
         RobotError: the baseline is of another robot.
         TraceError: a trace without a usable part, naming the file. DataError: no joint moves, a torque that was
-        not recorded, or logs of several rates.
+        not recorded or is read in another order or with another sign, or logs of several rates.
         PoseError: positions that are no pose of the robot.
     """
     progress("smoothing the motion")
@@ -75,6 +77,7 @@ def diagnose(
     if not any(recording.segment.moving.any() for recording in recordings):
         raise DataError(f"{traces[0].path}: no joint moves")
     pooled.refuse_dead_torque(recordings)
+    _refuse_misread(robot, traces, recordings)
     given = _given(robot, baseline)
     searched, risen = _in_its_noise(robot, traces, recordings, effects, given, progress)
     problem, floor, split, plain = searched.problem, searched.floor, searched.split, searched.plain
@@ -217,6 +220,19 @@ def _judged(
 def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:
     """The first round of a search as if nothing had been taken: what came nearest."""
     return [(tried, None) for tried, _ in selection.path[:1]]
+
+
+def _refuse_misread(robot: Description, traces: Sequence[Trace], recordings: Sequence[Recording]) -> None:
+    """
+    Raises:
+        DataError: torques of joints that bear one platform, which make sense only if read otherwise.
+    """
+    of_log: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        of_log.setdefault(traces[recording.trace].path.name, []).append(recording)
+    if (delta := recordings[0].mechanism.platform) is not None:
+        grams = {name: products(delta.model, parts) for name, parts in of_log.items()}
+        refuse_misread(grams, robot.gear_ratios[0])
 
 
 def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]:

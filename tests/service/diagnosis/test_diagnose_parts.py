@@ -57,6 +57,21 @@ def test_a_log_in_which_nothing_moves_is_of_no_use_alone_and_does_no_harm_beside
         diagnose.diagnose(ROBOT, [still(2)], (), go_on)
 
 
+@pytest.mark.parametrize(
+    ("turned", "said"),
+    [
+        (np.diag([-1.0, -1.0, -1.0]), "run_1.csv, run_2.csv: the torque of joints 1, 2 and 3 has the wrong sign"),
+        (np.eye(3)[[1, 0, 2]], "run_1.csv, run_2.csv: the torques of joints 1 and 2 are swapped"),
+    ],
+)
+def test_a_torque_that_makes_sense_only_otherwise_is_refused_and_blamed_on_nothing(
+    turned: np.ndarray, said: str
+) -> None:
+    logs = [log(1, seconds=6.0), log(2, seconds=6.0)]
+    with pytest.raises(DataError, match=f"^{said}"):
+        diagnose.diagnose(ROBOT, [replace(one, torque=one.torque @ turned) for one in logs], ())
+
+
 def test_what_is_left_is_noise_up_to_6_percent_above_its_floor_and_25_where_that_was_guessed() -> None:
     """As little as reversals leave belongs to the floor. Torque that shows no noise has a floor that is guessed, and
     so is one that is read from the colour of the noise; one joint is enough."""
