@@ -105,7 +105,8 @@ def accepted(
 def own(pool: Pool, fewer: Scored, best: Scored, effect: Effect, opened: Opened) -> float:
     """What `effect` explains in `best` given discrepancies, over what its torque does at other times. fewer: the model
     without it."""
-    return over_null(pool.problem, opened.wide(fewer.fitted), best.fitted, {effect})
+    level = pool.problem.level(opened.wide(best.fitted).left())
+    return over_null(pool.problem, opened.in_its_units(fewer.fitted), best.fitted, {effect}, level)
 
 
 def _seen(problem: Problem, scored: Scored, opened: Opened, split: Split) -> Scored:

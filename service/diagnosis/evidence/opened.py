@@ -146,19 +146,21 @@ class Pool:
 
 
 class Beside:
-    """The discrepancies beside a model. every: those of joints of which more than noise is left. prior: (P,)
-    information on each column of the pool: noise and what else is left beside it, over what a weight may be."""
+    """The discrepancies beside a model. every: those of joints of which more than noise is left. rest:
+    mean square of noise and what else is left beside one, a priori. prior: (P,) information on each column of the pool:
+    that over what a weight may be."""
 
     def __init__(self, pool: Pool, best: Scored):
         self.pool, self.best, level = pool, best, above(pool.problem, best.residuals)
-        whole, rest = float(np.mean(level)), 1.0 + float(np.mean(level)) / 2.0
+        whole = float(np.mean(level))
+        self.rest = 1.0 + whole / 2.0
         self.prior = np.zeros(pool.count)
         self.every = []
         for one in pool.every:
             size = whole if one.joint is None else float(level[one.joint])
             if size > 0.0:
                 self.every.append(one)
-                self.prior[pool.places[id(one)]] = rest / size
+                self.prior[pool.places[id(one)]] = self.rest / size
         self.own, self.residual = np.concatenate(best.fitted.moving), np.concatenate(best.fitted.residuals)
         near = np.column_stack([self.own, self.residual])
         self.near = [part.T @ part for part in (near[mine] for mine in pool.fold)]
@@ -195,11 +197,12 @@ class Beside:
 @dataclass(frozen=True)
 class Opened:
     """What is at work beside a model. columns: (R, C) a recording, of all that was found. prior: (C,) information on
-    the weight of each. residuals: held out."""
+    the weight of each, where a mean square of `rest` is left. residuals: held out."""
 
     found: list[Process]
     columns: list[np.ndarray]
     prior: np.ndarray
+    rest: float
     residuals: list[np.ndarray]
 
     @property
@@ -210,6 +213,10 @@ class Opened:
     def wide(self, fitted: Fit) -> Wide:
         """A fit with these free too."""
         return Wide.of(fitted, self.columns, self.prior)
+
+    def in_its_units(self, fitted: Fit) -> Wide:
+        """The same, the prior in units of what model and discrepancies leave."""
+        return Wide.of(fitted, self.columns, self.prior / self.rest)
 
     def cautions(self) -> list[Caution]:
         """What was opened, where effects are hardly separable from it."""
@@ -238,7 +245,7 @@ class Opened:
             first = max(tried, key=lambda one: float(one.gains.sum()))
             found, left = first.together, first.residuals
             every = [one.process for one in tried if one is not first]
-        return cls(found, pool.columns(found), beside.prior[pool.of(found)], left)
+        return cls(found, pool.columns(found), beside.prior[pool.of(found)], beside.rest, left)
 
 
 def above(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:

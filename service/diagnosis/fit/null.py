@@ -3,7 +3,8 @@
 What no effect explains is coloured and follows the motion; how much of it an effect takes by chance, no error of the
 noise says. The logs say it themselves: the torque of the effect, shifted in time within each recording, is as large and
 as coloured, and is at work nowhere. Given the effect itself, it explains what chance does; more where the effect mimics
-something else. Joints weigh by what the model leaves of them: a disturbance on one hides nothing of the others.
+something else. Joints weigh by what model and discrepancies leave of them: a disturbance on one hides nothing of the
+others, and one that a discrepancy explains hides nothing at all.
 
 Source: Candès, Fan, Janson, Lv: Panning for gold, 2018 (a null from columns that look alike and explain nothing).
 """
@@ -25,14 +26,15 @@ OWN = 100.0  # times what the best of them explains, that an effect has to
 LEAST = 1e-3  # of a shifted torque's energy, that is left given the effect: less is the same again, as of a constant
 
 
-def over_null(problem: Problem, fewer: Wide, best: Fit, effects: Collection[Effect]) -> float:
+def over_null(problem: Problem, fewer: Wide, best: Fit, effects: Collection[Effect], level: np.ndarray) -> float:
     """Squares that effects explain, over the most that their torque does shifted in time, given them.
 
     Args:
         problem: The logs, in units of the noise.
-        fewer: The model without the effects, and the discrepancies that are open.
+        fewer: The model without the effects, and the discrepancies that are open, their prior in units of `level`.
         best: The model with them.
         effects: Those that are asked about.
+        level: (n,) rms of each joint that it leaves given the discrepancies, in units of the noise.
 
     Returns:
         `inf` where no shift makes another torque of it; 0 where discrepancies explain nearly all of its torque, so that
@@ -41,7 +43,6 @@ def over_null(problem: Problem, fewer: Wide, best: Fit, effects: Collection[Effe
     torque = _torques(problem, best, effects)
     random = np.random.default_rng(0)
     count = torque[0].shape[1]
-    level = problem.level(best.residuals)
     parts = [
         torque,
         *(_shifted(problem, torque, random) for _ in range(DRAWS)),

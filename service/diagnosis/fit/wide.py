@@ -33,6 +33,14 @@ class Wide:
         )
         return cls(wide, np.diag(np.r_[np.zeros(own), np.broadcast_to(prior, opened)]))
 
+    def left(self) -> list[np.ndarray]:
+        """Residuals (R,) a recording, of a step on all rows."""
+        moving = self.fit.moving
+        gram = np.asarray(sum(t.T @ t for t in moving)) + self.prior
+        moment = np.asarray(sum(t.T @ r for t, r in zip(moving, self.fit.residuals, strict=True)))
+        step = self.fit.step(gram, moment)
+        return [r - t @ step for r, t in zip(self.fit.residuals, moving, strict=True)]
+
     def held_out(self, split: Split) -> list[np.ndarray]:
         """Residuals (R,) a recording on held-out data."""
         return held_out(self.fit, split, prior=self.prior)

@@ -46,7 +46,7 @@ def bare(fitted: Fit) -> Wide:
 
 def over(made: Problem, term: Term) -> float:
     fewer, best = (fit(made, Hypothesis(BASE, terms)) for terms in ((), (term,)))
-    return over_null(made, bare(fewer), best, {term.effect})
+    return over_null(made, bare(fewer), best, {term.effect}, made.level(best.residuals))
 
 
 def test_a_spring_is_more_its_own_than_what_waves_on_its_joint_make_of_it():
@@ -61,7 +61,7 @@ def test_a_constant_torque_has_no_null_and_one_that_is_nothing_explains_nothing(
     assert over(logs(add=lambda run, seed: on(0, np.full(len(run.torque), 3.0))), OFFSET) > OWN
     made = logs()
     still = evaluate(made, Hypothesis(BASE, (Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.0,)),)))
-    assert over_null(made, bare(fit(made, Hypothesis(BASE))), still, {EFFECTS["torque_delay"]}) == 0.0
+    assert over_null(made, bare(fit(made, Hypothesis(BASE))), still, {EFFECTS["torque_delay"]}, np.ones(3)) == 0.0
 
 
 @pytest.mark.parametrize("opened", [0, 2])
@@ -72,7 +72,7 @@ def test_the_ratio_by_least_squares(opened):
     random, prior = np.random.default_rng(4), 30.0
     columns = [random.standard_normal((len(r), opened)) for r in fewer.residuals]
     shifts = np.random.default_rng(0)
-    unit = np.maximum(made.rms(best.residuals, [0, 0, 0])[0] / made.sigma, 1.0)
+    unit = np.array([3.0, 1.0, 2.0])
     weight = 1.0 / unit[np.concatenate(made.joints_of_rows)]
 
     def taken(*torques: np.ndarray) -> float:
@@ -98,5 +98,5 @@ def test_the_ratio_by_least_squares(opened):
             along = np.roll(along, round(shifts.uniform(0.1, 0.9) * len(rows)), axis=0)
             late.append(np.vstack([along[rows[:, 0]], torque[count:]]))
         most = max(most, with_own - taken(np.concatenate(spring), np.concatenate(late)))
-    found = over_null(made, Wide.of(fewer, columns, prior), best, {SPRING.effect})
+    found = over_null(made, Wide.of(fewer, columns, prior), best, {SPRING.effect}, unit)
     assert found == pytest.approx((nothing - with_own) / most, rel=1e-3)
