@@ -210,8 +210,8 @@ def _judged(
         selection, fell = earned(regressors, selection, tests, allows, limit, progress)
         fallen += fell
     chosen = statistics.walked(selection, split, problem.count, problem.most)
-    after = statistics.by_fold(chosen, split)
-    selection, fell = together(problem, split, selection, after, given, unknown and problem.over_noise(after) > limit)
+    vague = unknown and problem.over_noise(statistics.by_fold(chosen, split)) > limit
+    selection, fell = together(problem, split, selection, chosen, given, vague)
     if fell:
         chosen = [selection.none] * split.folds
     return Judged(selection, chosen, [*doubts, *fallen, *fell])

@@ -37,5 +37,9 @@ class Correlated:
         weight = cho_solve(self._factor, np.asarray(sum(z.T @ p for z, p in zip(self.columns, parts, strict=True))))
         return [part - z @ weight for z, part in zip(self.columns, parts, strict=True)]
 
+    def square(self, residuals: Sequence[np.ndarray]) -> float:
+        """Squares of (R,) residuals a recording, as it weighs them."""
+        return float(sum(r @ w for r, w in zip(residuals, self.weighed(residuals), strict=True)))
+
 
 WHITE = Correlated((), np.zeros(0))

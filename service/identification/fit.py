@@ -295,7 +295,7 @@ def fit(
         for share in (1.0, 0.5, 0.2, 0.05):
             candidate = parameters.at(start + share * step)
             scenes = problem.scenes(candidate)
-            if _square(_residuals(problem, candidate, scenes), noise) < cost:
+            if noise.square(_residuals(problem, candidate, scenes)) < cost:
                 break
         else:
             return best
@@ -316,18 +316,13 @@ def _residuals(problem: Problem, hypothesis: Hypothesis, scenes: Sequence[Scene]
     return list(THREADS.map(one, range(len(scenes)), scenes))
 
 
-def _square(residuals: Sequence[np.ndarray], noise: Correlated) -> float:
-    """Squared residuals (R,) a recording, as the noise weighs them."""
-    return float(sum(r @ w for r, w in zip(residuals, noise.weighed(residuals), strict=True)))
-
-
 def _equations(fitted: Fit, noise: Correlated) -> tuple[np.ndarray, np.ndarray, float]:
     """Gram matrix (F, F), moment (F,) and squared residual, as the noise weighs them."""
     tangents, residuals = list(fitted.tangents), fitted.residuals
     slopes, left = noise.weighed(tangents), noise.weighed(residuals)
     gram = np.asarray(sum(t.T @ w for t, w in zip(tangents, slopes, strict=True)))
     moment = np.asarray(sum(t.T @ w for t, w in zip(tangents, left, strict=True)))
-    return gram, moment, _square(residuals, noise)
+    return gram, moment, noise.square(residuals)
 
 
 def within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray | float) -> np.ndarray:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from service.diagnosis.evidence.opened import Opened, Pool
-from service.diagnosis.fit.candidates import Dictionary, Regressors
+from service.diagnosis.fit.candidates import Candidate, Dictionary, Regressors
+from service.diagnosis.fit.exchange import with_several
 from service.diagnosis.fit.null import OWN, over_null
 from service.diagnosis.fit.selection import (
     LEAST_GAIN,
@@ -22,11 +23,10 @@ from service.diagnosis.fit.selection import (
     SHORTLIST,
     Scored,
     Selection,
-    fit_added,
-    score,
     without,
 )
 from service.diagnosis.fit.sound import fault_of
+from service.identification.correlated import WHITE
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss
 from service.model.effects.base import Effect
@@ -93,7 +93,9 @@ def accepted(
     gone = {effect for effect, _, _ in rejected}
     while len(set(best.names[given:])) < MOST_EFFECTS:
         progress("comparing effects given discrepancies")
-        tried = _added(regressors, pool, best, opened, gone, given, allows)
+        wide = opened.wide(best.fitted)
+        dictionary = Dictionary(regressors, wide.fit, wide.prior)
+        tried = _added(regressors, dictionary, pool, best, opened, gone, given, allows)
         if not tried:
             break
         path.append((tried, tried[0]))
@@ -117,26 +119,39 @@ def _seen(problem: Problem, scored: Scored, opened: Opened, split: Split) -> Sco
 
 
 def _added(
-    regressors: Regressors, pool: Pool, best: Scored, opened: Opened, gone: Collection[Effect], given: int,
-    allows: Callable[[Effect, int], bool],
+    regressors: Regressors, dictionary: Dictionary, pool: Pool, best: Scored, opened: Opened,
+    gone: Collection[Effect], given: int, allows: Callable[[Effect, int], bool],
 ) -> list[Scored]:  # fmt: skip
     """Models with one effect more that is accepted, the best first."""
     problem, split = regressors.problem, regressors.split
-    wide = opened.wide(best.fitted)
-    dictionary = Dictionary(regressors, wide.fit, wide.prior)
     before, found = _seen(problem, best, opened, split), []
     ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
-    for loss, candidate in ranking[:SHORTLIST]:
-        if candidate.effect in gone or dictionary.nothing - loss < LEAST_GAIN * problem.count:
+    for promised, candidate in ranking[:SHORTLIST]:
+        if candidate.effect in gone or dictionary.nothing - promised < LEAST_GAIN * problem.count:
             continue
-        model = score(fit_added(problem, best.fitted, candidate.term()), split)
-        after = _seen(problem, model, opened, split)
-        if after.loss < before.loss and fault_of(problem, model.hypothesis, given) is None:
-            found.append((after.loss, own(pool, best, model, candidate.effect, opened), model))
+        for loss, model in _fitted(regressors, best, (candidate,), opened, given):
+            if loss < before.loss:
+                found.append((loss, own(pool, best, model, candidate.effect, opened), model))
     found.sort(key=lambda item: item[0])
     first = _furthest([ratio for _, ratio, _ in found])
     models = [model for *_, model in found]
     return [] if first is None else [models.pop(first), *models]
+
+
+def _fitted(
+    regressors: Regressors, best: Scored, several: tuple[Candidate, ...], opened: Opened, given: int
+) -> list[tuple[float, Scored]]:
+    """The sound model with these too that explains most given discrepancies, with its loss; none where none is sound.
+
+    It is fitted with the discrepancies and without: beside a disturbance only the first has its values, and where a
+    discrepancy mimics the effect only the second.
+    """
+    problem, split = regressors.problem, regressors.split
+    noises = (opened.noise, WHITE) if opened.found else (WHITE,)
+    models = [with_several(regressors, best, several, noise) for noise in noises]
+    sound = [model for model in models if fault_of(problem, model.hypothesis, given) is None]
+    losses = [(_seen(problem, model, opened, split).loss, model) for model in sound]
+    return sorted(losses, key=lambda item: item[0])[:1]
 
 
 def _furthest(ratios: list[float]) -> int | None:

@@ -22,7 +22,7 @@ from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.null import OWN
 from service.diagnosis.fit.selection import LEAST_GAIN, Z95, Scored, Selection, added, without
 from service.diagnosis.fit.sound import fault_of
-from service.identification.correlated import WHITE
+from service.identification.correlated import WHITE, Correlated
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
@@ -124,13 +124,14 @@ def _borne_out(
     """`best` with the effects that the data bear out, the same without each of these, and why each of the others
     fell."""
     problem, split, given = regressors.problem, regressors.split, len(selection.none.hypothesis.terms)
+    noise = found.opened.noise if found else WHITE
     fallen: list[Caution] = []
     while True:
         refits = {}
         for effect in _effects(best, given):
             refits[effect] = fewer = without(problem, split, selection.none, best, effect)
             caution = (
-                _open(best, split, effect)
+                _open(best, split, effect, noise)
                 or (None if found else _varies(problem, best, effect))
                 or _carries_over(problem, split, best, fewer, effect, kept_out, found)
             )
@@ -170,15 +171,16 @@ def _where_joints_are(
 
 
 def together(
-    problem: Problem, split: Split, selection: Selection, after: Sequence[np.ndarray], given: int, vague: bool
+    problem: Problem, split: Split, selection: Selection, chosen: Sequence[Scored], given: int, vague: bool
 ) -> tuple[Selection, list[Caution]]:
     """The selection, or none of its names where all of them leave the gap as it is on stretches that nothing was chosen
-    by: each stretch would have another name. after: residuals of these stretches. vague: the noise is not known, and
-    more is left than it could be."""
+    by: each stretch would have another name. chosen: the model of each of these stretches. vague: the noise is not
+    known, and more is left than it could be."""
     names = _effects(selection.best, given)
+    none, *models = statistics.given([selection.none, *chosen], split, selection.noise)
     shrink = statistics.shrink(
-        statistics.pooled_squares(problem, selection.none.residuals, split),
-        statistics.pooled_squares(problem, after, split),
+        statistics.pooled_squares(problem, none.residuals, split),
+        statistics.pooled_squares(problem, statistics.by_fold(models, split), split),
     )
     if not names or (shrink.low > 0 and shrink.value >= (LEAST_UNKNOWN if vague else 0.0)):
         return selection, []
@@ -197,9 +199,10 @@ def _cut(selection: Selection, best: Scored) -> Selection:
     return replace(selection, best=best, path=path, standings={}, noise=WHITE)
 
 
-def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:
-    """Said of an effect none of whose quantities is told from nothing, or whose shape may be any."""
-    parameters, errors = Parameters(best.hypothesis), statistics.standard_errors(best.fitted, split)
+def _open(best: Scored, split: Split, effect: Effect, noise: Correlated) -> Caution | None:
+    """Said of an effect none of whose quantities is told from nothing, or whose shape may be any. noise: its
+    covariance."""
+    parameters, errors = Parameters(best.hypothesis), statistics.standard_errors(best.fitted, split, noise)
     code, quantity = "left_open", None
     for term, mine in zip(best.hypothesis.terms, parameters.terms, strict=True):
         if term.effect is effect:

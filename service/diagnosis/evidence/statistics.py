@@ -125,6 +125,18 @@ def by_fold(chosen: Sequence[Scored], split: Split) -> list[np.ndarray]:
     return result
 
 
+def given(models: Sequence[Scored], split: Split, noise: Correlated) -> list[Scored]:
+    """Models with their residuals on held-out data given discrepancies, those of the noise."""
+    if noise is WHITE:
+        return list(models)
+    result = {}
+    for one in models:
+        if id(one) not in result:
+            left = Wide.of(one.fitted, noise.columns, noise.prior).held_out(split)
+            result[id(one)] = Scored(one.fitted, left, block_loss(left, split))
+    return [result[id(one)] for one in models]
+
+
 def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> list[Scored]:
     """The hypothesis for each fold that is chosen without it.
 

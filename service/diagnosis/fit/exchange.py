@@ -25,6 +25,7 @@ from service.diagnosis.fit.selection import (
     worth,
 )
 from service.diagnosis.fit.sound import fault_of
+from service.identification.correlated import WHITE, Correlated
 from service.model.effects.base import Effect
 
 
@@ -85,13 +86,16 @@ def _tried(
         if count == 1
         else dictionary.couples(taken, joints, allows)
     )
-    return [_fitted(regressors, parent, several) for loss, several in promising[:SHORTLIST] if loss < most]
+    return [with_several(regressors, parent, several) for loss, several in promising[:SHORTLIST] if loss < most]
 
 
-def _fitted(regressors: Regressors, parent: Scored, several: tuple[Candidate, ...]) -> Scored:
+def with_several(
+    regressors: Regressors, parent: Scored, several: tuple[Candidate, ...], noise: Correlated = WHITE
+) -> Scored:
+    """`parent` with these candidates too, fitted. noise: its covariance."""
     *first, last = sorted(several, key=lambda candidate: candidate.effect.rough)
     fitted = parent.fitted
     for candidate in first:
         terms = (*fitted.hypothesis.terms, candidate.term())
         fitted = replace(fitted, hypothesis=fitted.hypothesis.carrying(terms))
-    return score(fit_added(regressors.problem, fitted, last.term()), regressors.split)
+    return score(fit_added(regressors.problem, fitted, last.term(), noise), regressors.split)

@@ -275,24 +275,31 @@ def each_arm(term: Term) -> bool:
     return len(term.joints) > 1 and not term.effect.dissipates and not term.effect.nonlinear
 
 
-def fit_added(problem: Problem, without: Fit, term: Term) -> Fit:
-    """Fit with one more effect, from the best of the starts it asks for. without: the fit that it is added to."""
+def fit_added(problem: Problem, without: Fit, term: Term, noise: Correlated = WHITE) -> Fit:
+    """Fit with one more effect, from the best of the starts it asks for.
+
+    without: the fit that it is added to. noise: its covariance.
+    """
     hypothesis = without.hypothesis
+
+    def cost(fitted: Fit) -> float:
+        return noise.square(fitted.residuals)
+
     points = [replace(term, nonlinear=start) for start in term.effect.starts(term.nonlinear)]
     starts = [hypothesis.carrying((*hypothesis.terms, point)) for point in points]
     if not term.effect.rough:
-        return fit(problem, starts[0])
-    best = min((fit(problem, start, iterations=1) for start in starts), key=lambda fitted: fitted.cost)
-    if best.cost > ROUGH_PROMISE * without.cost:
+        return fit(problem, starts[0], noise=noise)
+    best = min((fit(problem, start, iterations=1, noise=noise) for start in starts), key=cost)
+    if cost(best) > ROUGH_PROMISE * cost(without):
         return best
-    best = fit(problem, best.hypothesis)
+    best = fit(problem, best.hypothesis, noise=noise)
     for index, searched in enumerate(term.effect.nonlinear.values()):
         for factor in ROUGH_STEPS if not searched.fixed else ():
             last = best.hypothesis.terms[-1]
             moved = tuple(v * factor if i == index else v for i, v in enumerate(last.nonlinear))
             terms = (*best.hypothesis.terms[:-1], replace(last, nonlinear=moved))
-            trial = fit(problem, replace(best.hypothesis, terms=terms), iterations=2)
-            best = trial if trial.cost < best.cost else best
+            trial = fit(problem, replace(best.hypothesis, terms=terms), iterations=2, noise=noise)
+            best = trial if cost(trial) < cost(best) else best
     return best
 
 

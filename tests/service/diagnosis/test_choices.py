@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.identification.correlated import WHITE
 from tests.service.subject import EFFECTS, Hypothesis, Regressors, Split, Term, candidates, selection
 from tests.service.world import BASE, course, stub
 from tests.service.world import problem as logged
@@ -262,13 +263,13 @@ def test_a_rough_effect_is_searched_where_it_promises_something(monkeypatch):
     term = Term(
         EFFECTS["backlash"], (1,), np.zeros((1, 0)), (1e-3, *([0.1] * (len(EFFECTS["backlash"].nonlinear) - 1)))
     )
-    asked, without = [], stub(hypothesis=Hypothesis(BASE), cost=100.0)
+    asked, without = [], stub(hypothesis=Hypothesis(BASE), residuals=[np.full(1, 10.0)])
 
     def valley(bottom: float, best: float):
-        def fit(problem, hypothesis, iterations=6):
+        def fit(problem, hypothesis, iterations=6, noise=WHITE):
             asked.append(iterations)
             off = np.log(hypothesis.terms[-1].nonlinear[0] / best) ** 2
-            return stub(hypothesis=hypothesis, cost=bottom + 100.0 * off)
+            return stub(hypothesis=hypothesis, residuals=[np.full(1, (bottom + 100.0 * off) ** 0.5)])
 
         return fit
 
@@ -284,7 +285,9 @@ def test_a_rough_effect_is_searched_where_it_promises_something(monkeypatch):
     found = selection.fit_added(stub(), without, term)
     assert found.hypothesis.terms[-1].nonlinear[0] == pytest.approx(0.87e-3 * 0.88 * 0.94 * 0.97, rel=1e-9)
     plain = Term(EFFECTS["torque_offset"], (1,), np.zeros((1, 1)), ())
-    monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: (hypothesis, iterations))
+    monkeypatch.setattr(
+        selection, "fit", lambda problem, hypothesis, iterations=6, noise=WHITE: (hypothesis, iterations)
+    )
     assert selection.fit_added(stub(), without, plain) == (Hypothesis(BASE, (plain,)), 6)
 
 

@@ -129,8 +129,8 @@ def test_a_shape_that_may_be_any_is_no_finding(monkeypatch, relative, stands):
     exponent = GREASE.effect.nonlinear["p"]
     errors = judged.statistics.standard_errors
 
-    def of(fitted, split):
-        result = errors(fitted, split)
+    def of(fitted, split, noise):
+        result = errors(fitted, split, noise)
         if fitted.hypothesis.terms:
             result[-1] = relative * (exponent.high - exponent.low) / 12**0.5
         return result
@@ -212,8 +212,8 @@ def test_it_is_open_whether_there_is_any_of_what_is_within_its_own_error(monkeyp
     """One of several amplitudes is enough; without amplitudes the shape has to be known to a half."""
     hypothesis = Hypothesis(BASE, (term,))
     errors = np.full(len(Parameters(hypothesis).values), error)
-    monkeypatch.setattr(judged.statistics, "standard_errors", lambda fitted, split: errors)
-    said = judged._open(stub(hypothesis=hypothesis, fitted=None), stub(), term.effect)
+    monkeypatch.setattr(judged.statistics, "standard_errors", lambda fitted, split, noise: errors)
+    said = judged._open(stub(hypothesis=hypothesis, fitted=None), stub(), term.effect, WHITE)
     assert (said is None) == stands
 
 
@@ -347,6 +347,7 @@ def test_where_more_than_noise_is_left_effects_are_asked_given_discrepancies(mon
         return stub(
             best=spring,
             rejected=rejected,
+            opened=stub(noise=WHITE),
             beside=lambda _: stub(cautions=list, noise=WHITE),
             seen=lambda model: model,
             least=lambda *_: np.inf,
@@ -368,6 +369,7 @@ def test_beside_a_stranger_a_run_may_have_another_figure_by_what_is_left(monkeyp
     every = stub(
         best=found.best,
         rejected=[],
+        opened=stub(noise=WHITE),
         beside=lambda _: stub(cautions=list, noise=WHITE),
         seen=lambda model: model,
         least=lambda *_: np.inf,
@@ -402,12 +404,13 @@ def test_all_names_fall_where_together_they_leave_the_gap_as_it_is(left, vague, 
     made = logs((1, 2, 3), "joint_spring")
     split, found = Split.of(made), chosen(made, SPRING, RIPPLE)
     after = [share * one for share, one in zip(left, found.none.residuals, strict=True)]
-    kept, fallen = together(made, split, found, after, 0, vague)
+    walked = [stub(residuals=after)] * split.folds
+    kept, fallen = together(made, split, found, walked, 0, vague)
     assert kept.best.names == (("joint_spring", "cogging") if stands else ())
     assert codes(fallen) == ([] if stands else [("no_shrink", name, None) for name in ("joint_spring", "cogging")])
     whole = 1 - np.sqrt(np.mean(np.square(left)))
     assert all(one.share == pytest.approx(whole, abs=0.01) for one in fallen)
-    kept, fallen = together(made, split, found, after, 2, vague)
+    kept, fallen = together(made, split, found, walked, 2, vague)
     assert (kept, fallen) == (found, []), "the description's own do not have to earn it"
 
 
