@@ -3,7 +3,7 @@ do nor their own torque does at other times.
 
 The discrepancies that explain the residual are opened, with weights of their own. Given these, an effect has to explain
 by far more than its torque does shifted in time. What does not is rejected, the worst first, and the discrepancies are
-asked again. Then effects are added by the same quantity.
+asked again. Then effects are added by the same quantity, one or, where two hide each other, both.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from service.diagnosis.evidence.opened import Opened, Pool
-from service.diagnosis.fit.candidates import Candidate, Dictionary, Regressors
+from service.diagnosis.fit.candidates import PROMISE, Candidate, Dictionary, Regressors
 from service.diagnosis.fit.exchange import with_several
 from service.diagnosis.fit.null import OWN, over_null
 from service.diagnosis.fit.selection import (
@@ -96,6 +96,8 @@ def accepted(
         wide = opened.wide(best.fitted)
         dictionary = Dictionary(regressors, wide.fit, wide.prior)
         tried = _added(regressors, dictionary, pool, best, opened, gone, given, allows)
+        if not tried and len(set(best.names[given:])) + 2 <= MOST_EFFECTS:
+            tried = _couple(regressors, dictionary, pool, selection.none, best, opened, gone, allows)
         if not tried:
             break
         path.append((tried, tried[0]))
@@ -152,6 +154,29 @@ def _fitted(
     sound = [model for model in models if fault_of(problem, model.hypothesis, given) is None]
     losses = [(_seen(problem, model, opened, split).loss, model) for model in sound]
     return sorted(losses, key=lambda item: item[0])[:1]
+
+
+def _couple(
+    regressors: Regressors, dictionary: Dictionary, pool: Pool, none: Scored, best: Scored, opened: Opened,
+    gone: Collection[Effect], allows: Callable[[Effect, int], bool],
+) -> list[Scored]:  # fmt: skip
+    """Models with two effects more that hide each other, each accepted given the other, what explains most first. They
+    promise to explain half of the residual at least, and each has a null. none: the base model."""
+    problem, split, given = regressors.problem, regressors.split, len(none.hypothesis.terms)
+    before, found = _seen(problem, best, opened, split), []
+    ranking = dictionary.couples(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
+    # squares; what promises to leave more is not fitted
+    most = dictionary.nothing - PROMISE * (dictionary.nothing - problem.count)
+    for promised, several in ranking[:SHORTLIST]:
+        effects = [candidate.effect for candidate in several]
+        if promised > most or any(effect in gone for effect in effects):
+            continue
+        for loss, model in _fitted(regressors, best, several, opened, given):
+            fewer = [without(problem, split, none, model, effect) for effect in effects]
+            ratios = [own(pool, one, model, effect, opened) for one, effect in zip(fewer, effects, strict=True)]
+            if loss < before.loss and all(OWN < ratio < np.inf for ratio in ratios):
+                found.append((loss, model))
+    return [model for _, model in sorted(found, key=lambda item: item[0])]
 
 
 def _furthest(ratios: list[float]) -> int | None:

@@ -11,8 +11,8 @@ from service.diagnosis.fit.null import OWN
 from service.diagnosis.fit.selection import Scored, Selection, fit_added, score
 from service.identification.correlated import WHITE
 from tests.service.diagnosis.test_null import SPRING, logs, on
-from tests.service.subject import Hypothesis, Problem, Split, fit
-from tests.service.world import BASE, PERIOD
+from tests.service.subject import EFFECTS, Hypothesis, Problem, Split, fit
+from tests.service.world import BASE, PERIOD, stub
 
 HERTZ = (1.3, 2.1, 3.7)
 
@@ -69,3 +69,53 @@ def test_names_are_confirmed_given_the_discrepancies(monkeypatch):
         kept, _ = earned.together(made, split, found, [best] * split.folds, 0, vague=False)
         assert (kept is found) == stands
         assert (earned._open(best, split, SPRING.effect, noise) is None) == stands
+
+
+@pytest.mark.parametrize(
+    ("ratios", "gone", "promised", "found"),
+    [
+        ({"hose_spring": 101.0, "air_drag": 101.0, "torque_offset": 99.0}, set(), 199.0, ("hose_spring", "air_drag")),
+        ({"hose_spring": 101.0, "air_drag": 99.0, "torque_offset": 99.0}, set(), 199.0, None),
+        (
+            {"hose_spring": 101.0, "air_drag": 101.0, "torque_offset": 101.0},
+            set(),
+            199.0,
+            ("hose_spring", "torque_offset"),
+        ),
+        ({"hose_spring": 101.0, "air_drag": 101.0, "torque_offset": np.inf}, set(), 199.0, ("hose_spring", "air_drag")),
+        ({"hose_spring": 101.0, "air_drag": 101.0, "torque_offset": 101.0}, set(), 201.0, ("hose_spring", "air_drag")),
+        (
+            {"hose_spring": 101.0, "air_drag": 101.0, "torque_offset": 101.0},
+            {"torque_offset"},
+            199.0,
+            ("hose_spring", "air_drag"),
+        ),
+    ],
+)
+def test_two_effects_are_added_where_each_is_accepted_given_the_other(ratios, gone, promised, found, monkeypatch):
+    """Of such pairs, the one that explains most given the discrepancies; none with an effect that was rejected,
+    nor one that promises less than half of what is left above the noise, 200 squares."""
+    pairs = {("hose_spring", "torque_offset"): 10.0, ("hose_spring", "air_drag"): 20.0}
+    candidates = [tuple(stub(effect=EFFECTS[name]) for name in pair) for pair in pairs]
+    hypothesis = stub(terms=())
+    problem = stub(count=100, recordings=[stub(mechanism=stub(joints=3))])
+    monkeypatch.setattr(accepted, "_seen", lambda problem, model, *_: stub(loss=model.loss))
+    monkeypatch.setattr(accepted, "fault_of", lambda *_: None)
+    monkeypatch.setattr(accepted, "without", lambda problem, split, none, model, effect: model)
+    monkeypatch.setattr(accepted, "own", lambda pool, fewer, model, effect, opened: ratios[effect.name])
+    monkeypatch.setattr(
+        accepted,
+        "with_several",
+        lambda regressors, best, several, noise: stub(
+            names=tuple(one.effect.name for one in several),
+            loss=pairs[tuple(one.effect.name for one in several)],
+            hypothesis=hypothesis,
+        ),
+    )
+    dictionary = stub(nothing=300.0, couples=lambda *_: [(199.0, candidates[1]), (promised, candidates[0])])
+    start = stub(loss=90.0, hypothesis=hypothesis)
+    models = accepted._couple(
+        stub(problem=problem, split=None), dictionary, stub(), start, start, stub(noise=WHITE, found=[]),
+        {EFFECTS[name] for name in gone}, lambda *_: True,
+    )  # fmt: skip
+    assert (models[0].names if models else None) == found
