@@ -71,7 +71,7 @@ def whole(path: Path, mode: int = 0o666, links: bool = True) -> Iterator[Path]:
         StorageError: it cannot be written.
     """
     target = Path(os.path.realpath(path)) if links else Path(os.path.realpath(path.parent)) / path.name
-    partial = target.with_name(f"{PART}{secrets.token_hex(8)}-{target.name[-MOST_NAME:]}")
+    partial = target.parent / f"{PART}{secrets.token_hex(8)}-{target.name[-MOST_NAME:]}"
     try:
         if (target.exists() and not target.is_file()) or (target.is_symlink() and not links and target.is_dir()):
             raise StorageError(f"{path}: exists and is not a file")
@@ -119,10 +119,23 @@ def make_folder(path: Path) -> None:
 def check_apart(path: Path, *inputs: Path) -> None:
     """
     Raises:
-        StorageError: what is to be written is one of the files that are read.
+        StorageError: the file that is to be written is one of those that are read, or it is a folder.
     """
+    if path.is_dir():
+        raise StorageError(f"{path}: exists and is not a file")
     if path.resolve() in (one.resolve() for one in inputs):
         raise StorageError(f"{path}: is an input file; give another name to write to")
+
+
+def check_distinct(*outputs: Path | None) -> None:
+    """
+    Raises:
+        StorageError: two results of one command would be one file.
+    """
+    paths = [path for path in outputs if path is not None]
+    for number, path in enumerate(paths):
+        if path.resolve() in (one.resolve() for one in paths[:number]):
+            raise StorageError(f"{path}: is named for two results; give each a name of its own")
 
 
 def check_folder(path: Path) -> None:

@@ -103,6 +103,10 @@ class Machine(Described):
         return {"columns": str(beside)} if beside.is_file() else {}
 
     @property
+    def sources(self) -> list[Path]:
+        return super().sources + [Path(file) for file in self.files.values()]
+
+    @property
     def motors(self) -> np.ndarray:
         return super().motors if self.coupling is None else np.array(self.coupling, float)
 

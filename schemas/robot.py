@@ -377,6 +377,11 @@ class Described(TomlTable):
         return self._source.effects_file
 
     @property
+    def sources(self) -> list[Path]:
+        """All files that it was read from: its own, that with the user's effects, and those that it names."""
+        return [path for path in (self._source.file, self._source.effects_file) if path is not None]
+
+    @property
     def origin(self) -> str:
         """What an error about a key of it begins with."""
         return str(self._source.file or f"robot {self.name!r}")
@@ -632,6 +637,10 @@ class Robot(Described):
     def gear_ratios(self) -> list[float]:
         every = self.drive.gear_ratio
         return [joint.gear_ratio or every for joint in self.drive.joint] or [every] * 3
+
+    @property
+    def sources(self) -> list[Path]:
+        return super().sources + ([self.folder / self.drive.eni] if self.drive.eni else [])
 
     @property
     def arm_angles(self) -> list[float]:

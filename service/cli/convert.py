@@ -10,6 +10,7 @@ import typer
 from service.cli.options import ColumnsFrom, robot_file
 from service.cli.output import conclude
 from service.cli.progress import bars
+from service.cli.reading import files_in
 
 
 def command(
@@ -42,10 +43,10 @@ def command(
     from schemas.questions import Question, as_delta
     from schemas.trace import UNNAMED
 
-    check_apart(target, source, *(Path(one) for one in (robot, columns) if one))
+    description = load_description(robot) if robot else None
+    check_apart(target, source, *(description.sources if description else ()), *files_in(columns))
     if target.exists() and not overwrite:
         raise StorageError(f"{target}: exists already; --overwrite replaces it")
-    description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     capture = source.name.endswith(CAPTURE_ENDINGS)
     delta = as_delta(description, Question.FIELDBUS) if description and capture else None

@@ -31,10 +31,13 @@ def command(
     """
     import json as json_library
 
+    from schemas.errors import StorageError
     from schemas.files import write_text
     from service.checkup import bundle as whole
     from service.checkup import examine
 
+    if bundle is not None and bundle.exists():
+        raise StorageError(f"{bundle}: exists already; give another name with --bundle")
     with console(stderr=True).status("looking"):
         checks = examine()
     document = whole(checks)

@@ -11,7 +11,7 @@ import typer
 from schemas.words import counted
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import Table, as_json, conclude, console, read_by, table
-from service.cli.reading import prediction_files, reading
+from service.cli.reading import files_in, prediction_files, reading
 
 if TYPE_CHECKING:
     from service.identification.evaluation import Evaluation, Moments
@@ -46,7 +46,8 @@ def command(
 
     description = load_description(robot, effects)
     unit = in_units_of(description, "N m")
-    targets = prediction_files(predictions, [_csv_name(path) for path in traces], traces, robot) if predictions else []
+    read = (*description.sources, *files_in(columns))
+    targets = prediction_files(predictions, [_csv_name(path) for path in traces], traces, *read) if predictions else []
     results: list[Evaluation] = []
     for number, trace in enumerate(reading(traces, description, columns, "evaluating")):
         result = evaluate(description, trace)

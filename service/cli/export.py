@@ -88,14 +88,15 @@ def command(
     from schemas.axes_description import load_description
     from schemas.files import check_apart, make_folder, write_text
     from schemas.questions import Question, as_delta
-    from service.cli.machine_files import write_machine
+    from service.cli.machine_files import beside_of, write_machine
 
     for option, formats in ONLY_FOR.items():
         source = context.get_parameter_source(option)
         if source is not None and source.name == "COMMANDLINE" and to not in formats:
             raise typer.BadParameter(f"--{option}: only for --to {' or '.join(formats)}, not for {to.value}")
-    check_apart(out, robot, *(log or []))
     described = load_description(robot, effects)
+    if to not in (Format.c, Format.st):
+        check_apart(out, *described.sources, *(log or []))
     if to in (Format.mjcf, Format.urdf) and described.answering(Question.CODE) is None:
         write_machine(described, to.value, out)
         return
@@ -121,10 +122,12 @@ def command(
         return
     made = to_mjcf(description)
     made.spec.compile()
+    beside = beside_of(out, "_effects.py")
+    if made.callback is not None:
+        check_apart(beside, *description.sources)
     write_text(out, made.spec.to_xml())
     print(f"wrote {out}")
     if made.callback is not None:
-        beside = out.with_name(f"{out.stem}_effects.py")
         write_text(beside, made.callback)
         called = [name for name in made.by_callback if name not in made.measured]
         print(f"wrote {beside}")

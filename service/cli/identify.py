@@ -9,7 +9,7 @@ import typer
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
 from service.cli.output import Table, as_json, conclude, console, read_by, table
-from service.cli.reading import reading
+from service.cli.reading import files_in, reading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +66,7 @@ def command(
     make_folder(out.parent)
     description = load_description(robot)
     loads = [_load(text) for text in carried or ()]
-    check_apart(out, robot, *traces, *(path for _, path in loads))
+    check_apart(out, *description.sources, *traces, *(path for _, path in loads), *files_in(columns))
     heavy = reading([path for _, path in loads], description, columns, "reading")
     known = [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)]
     of_logs = rigs.of_logs([rigs.Rig.read(text) for text in rig or ()], [str(path) for path in traces])

@@ -31,8 +31,8 @@ _Robot = Annotated[Path | None, robot_file(", to find signs and gear side.")]
 _Out = Annotated[
     Path | None,
     typer.Option(
-        help="Log to write; for several runs, a folder. Default: the first file's name with .mcap (.csv if there are "
-        "not three joints)."
+        help="Log to write, or a folder; for several runs a folder. Default: the first file's name with .mcap (.csv if "
+        "there are not three joints)."
     ),
 ]
 _Yes = Annotated[bool, typer.Option("--yes", help="Accept the proposal without asking.")]
@@ -111,7 +111,8 @@ def command(
         proposal = propose(runs, description, stated)
     if not json:
         _show(runs[0], proposal)
-    logs, mapping = _targets(files[: len(runs)], proposal, out, overwrite)
+    known = description.sources if description else []
+    logs, mapping = _targets(files[: len(runs)], proposal, out, overwrite, [*files, *known])
     if not yes:
         _ask(proposal)
     samples = _write(files, logs, mapping, proposal, description)
@@ -183,8 +184,10 @@ def _runs(files: list[Path], stated: Stated, topic: str | None) -> list[Table]:
     return [joined(tables, clocks_of(tables, stated.time))]
 
 
-def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite: bool) -> tuple[list[Path], Path]:
-    """The log of each run, and the mapping.
+def _targets(
+    files: list[Path], proposal: Proposal, out: Path | None, overwrite: bool, read: list[Path]
+) -> tuple[list[Path], Path]:
+    """The log of each run, and the mapping. read: all files that the command reads.
 
     Raises:
         StorageError: one is there already, is what is read, or two would be one. BadParameter: --out is no folder.
@@ -195,19 +198,20 @@ def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite:
 
     ending = ".mcap" if len(proposal.columns["position"]) == 3 else ".csv"
     several = len(files) > 1
+    folder = out if out is not None and (several or out.is_dir()) else None
     if several and out is not None and (out.is_file() or out.name.endswith((".mcap", *CSV_ENDINGS))):
         raise typer.BadParameter(f"{out}: {len(files)} runs are read: give a folder", param_hint="--out")
     logs = []
     for path in files:
-        told_apart = "" if ending == ".mcap" != path.suffix or (several and out) else ".imported"
+        told_apart = "" if ending == ".mcap" != path.suffix or folder else ".imported"
         name = f"{path.name.split('.')[0]}{told_apart}{ending}"
-        logs.append(out / name if several and out else out or path.with_name(name))
+        logs.append(folder / name if folder else out or path.with_name(name))
     mapping = logs[0].with_name(logs[0].name.split(".")[0] + ".columns.toml")
-    if several and out is not None:
-        make_folder(out)
+    if folder is not None:
+        make_folder(folder)
     for path in (*logs, mapping):
         check_folder(path.parent)
-        check_apart(path, *files)
+        check_apart(path, *read)
         if path.exists() and not overwrite:
             raise StorageError(f"{path}: exists already; --overwrite replaces it, --out gives another name")
     if len({path.resolve() for path in logs}) < len(logs):

@@ -10,6 +10,11 @@ if TYPE_CHECKING:
     from schemas.axes_description import Description
 
 
+def beside_of(out: Path, end: str) -> Path:
+    """The file of the model's name that ends in `end`."""
+    return out.parent / f"{out.stem}{end}"
+
+
 def write_machine(description: Description, to: str, out: Path) -> None:
     """Write the MJCF or URDF of a machine, with its parameters and their errors as JSON beside it.
 
@@ -22,7 +27,7 @@ def write_machine(description: Description, to: str, out: Path) -> None:
     machine = machine_of(description)
     made = machine.to_urdf() if to == "urdf" else machine.to_mjcf()
     make_folder(out.parent)
-    beside = out.with_name(f"{out.stem}_parameters.json")
+    beside = beside_of(out, "_parameters.json")
     write_text(out, made.text)
     write_text(beside, made.figures)
     print(f"wrote {out}")

@@ -23,8 +23,24 @@ ColumnsFrom = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def _usable(effects: Path | None) -> Path | None:
+    """Also where the description names no effect: who gives the file means it to be used.
+
+    Raises:
+        RobotError: as `catalogue`.
+    """
+    if effects is not None:
+        from service.model.effects import catalogue
+
+        catalogue(effects)
+    return effects
+
+
 OwnEffects = Annotated[
-    Path | None, typer.Option("--effects", metavar="FILE", help="Python file with effects of your own")
+    Path | None,
+    typer.Option("--effects", metavar="FILE", help="Python file with effects of your own", callback=_usable),
 ]
 
 # of every command that goes on the bus

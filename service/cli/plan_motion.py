@@ -83,8 +83,8 @@ def command(
     from service.planning.question import PERIOD
 
     check_folder(out.parent)
-    check_apart(out, robot)
     described = load_description(robot, effects)
+    check_apart(out, *described.sources)
     most = (max_speed, max_acceleration, max_torque)
     if described.answering(Question.RIVALS) is None and purpose is Purpose.IDENTIFY:
         plan_joints(robot, described, out, duration, rate, seed, most, assume_limits, json)

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
     from schemas.trace import Trace
 
 
+def files_in(*options: str | None) -> list[Path]:
+    """What options name that take a file or the name of something that comes with deltatwin."""
+    return [Path(one) for one in options if one]
+
+
 def prediction_files(folder: Path, names: Sequence[str], traces: Sequence[Path], *read: Path) -> list[Path]:
     """A file in `folder` for each of `traces`. names: theirs. read: what the command reads besides.
 

@@ -98,7 +98,7 @@ def command(
     from drivers.simulated.plant.plant import make_plant
     from schemas.axes_description import load_description
     from schemas.errors import DataError
-    from schemas.files import check_apart, check_folder
+    from schemas.files import check_apart, check_distinct, check_folder
     from schemas.questions import Question, as_delta
 
     if out is None and not live:
@@ -107,11 +107,12 @@ def command(
         raise typer.BadParameter(f"{motion!r} is neither a file nor one of {', '.join(KINDS)}", param_hint="--motion")
     if payload and motion != "pick":
         raise typer.BadParameter(f"only `pick` carries a payload, not `{motion}`", param_hint="--payload")
+    described = load_description(robot)
+    check_distinct(out, picks)
     for path in (out, picks):
         if path is not None:
             check_folder(path.parent)
-            check_apart(path, robot, Path(motion))
-    described = load_description(robot)
+            check_apart(path, *described.sources, Path(motion), *([Path(truth)] if truth else []))
     if described.answering(Question.ROUTE) is None and not live and (motion in OF_JOINTS or Path(motion).suffix):
         assert out is not None
         simulate_joints(robot, described, motion, out, duration, rate, seed, (max_speed, max_acceleration, max_torque))

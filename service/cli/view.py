@@ -33,11 +33,12 @@ def command(
     Example: deltatwin view --robot d3.toml --layout d3.layout.json && deltatwin view --robot d3.toml
     """
     from schemas.axes_description import load_delta
-    from schemas.files import write_text
+    from schemas.files import check_apart, write_text
     from schemas.questions import Question
 
     description = load_delta(robot, Question.VIEW)
     if layout is not None:
+        check_apart(layout, *description.sources)
         from drivers.view.foxglove_layout import layout as layout_of
 
         write_text(layout, layout_of(description.name))

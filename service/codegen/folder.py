@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from schemas.errors import StorageError
-from schemas.files import make_folder, read_bytes, write_text
+from schemas.files import check_apart, make_folder, read_bytes, write_text
 from schemas.robot import Robot, load_robot, save_robot
 from schemas.toml import validate
 from service.codegen.plc import Project
@@ -53,7 +53,7 @@ def write_twin(robot: Robot, period: float, made: Twin | Project, folder: Path) 
     """Write the code of `robot` into `folder`. Returns the files.
 
     Raises:
-        StorageError: one cannot be written.
+        StorageError: one cannot be written, or is what the robot was read from.
     """
     make_folder(folder)
     is_c = isinstance(made, Twin)
@@ -70,10 +70,13 @@ def write_twin(robot: Robot, period: float, made: Twin | Project, folder: Path) 
         id=f"{made.id:016x}" if is_c else "",
     )
     texts = code | {MANIFEST: manifest.model_dump_json(by_alias=True, indent=1) + "\n"}
+    written = [folder / file for file in (*texts, DESCRIPTION)]
+    for path in written:
+        check_apart(path, *robot.sources)
     for file, text in texts.items():
         write_text(folder / file, text)
     save_robot(robot, folder / DESCRIPTION)
-    return [folder / file for file in (*texts, DESCRIPTION)]
+    return written
 
 
 def read_twin(folder: Path) -> tuple[Manifest, Robot]:

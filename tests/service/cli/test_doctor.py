@@ -75,3 +75,6 @@ def test_the_bundle_names_neither_host_nor_user_and_holds_no_secret(tmp_path: Pa
     assert document["versions"]["deltatwin"] == bundle([])["versions"]["deltatwin"]
     assert document["machine"]["processors"] == os.cpu_count()
     assert [check["name"] for check in document["checks"]] == [check.name for check in examine()]
+    again = subprocess.run([PROGRAM, "doctor", "--bundle", target], capture_output=True, text=True, check=False)
+    assert again.stderr == f"deltatwin: {target}: exists already; give another name with --bundle\n"
+    assert target.read_text() == text

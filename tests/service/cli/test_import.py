@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,7 @@ from drivers.simulated.plant.truth import PlantTruth
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
 from schemas.columns import load_columns
-from schemas.robot import load_robot
+from schemas.robot import SHIPPED, load_robot
 from schemas.trace import Trace
 from service.cli.main import app
 from tests.drivers.trace.test_tables import joint_state
@@ -243,6 +244,17 @@ def test_what_is_read_is_never_written(tmp_path: Path, log: Trace) -> None:
     done = CliRunner().invoke(app, [*command, str(tmp_path / "." / "run.mcap")])
     assert "run.mcap: is an input file" in str(done.exception)
     assert path.read_bytes() == before
+    shutil.copy(SHIPPED / "d3-1200.toml", tmp_path / "run.columns.toml")
+    command[3:4] = [str(tmp_path / "run.columns.toml")]
+    done = CliRunner().invoke(app, [*command, str(tmp_path / "run.csv")])
+    assert "run.columns.toml: is an input file" in str(done.exception)
+
+
+def test_a_log_goes_into_a_folder(tmp_path: Path, log: Trace) -> None:
+    path, out = npy(tmp_path, log), tmp_path / "imported"
+    out.mkdir()
+    imported(path, "--robot", "d3-1200", "--yes", "--out", str(out))
+    assert sorted(file.name for file in out.iterdir()) == ["log.columns.toml", "log.mcap"]
 
 
 def test_a_payload_is_no_other_unit(tmp_path: Path) -> None:

@@ -20,8 +20,16 @@ from schemas.robot import SHIPPED
 from schemas.trace import Trace
 from service.cli.main import main
 from service.stopping import ENDING
+from tests.service import arm
+from tests.service.model.test_description import OWN
 
 Run = Callable[..., "Done"]
+CARRIED = """
+[[effect]]
+name = "stribeck_friction"
+joints = [1]
+parameters = {f_s = {value = 3.0, unit = "N m"}, v_s = {value = 0.1, unit = "rad/s"}}
+"""
 
 
 class Done(NamedTuple):
@@ -202,6 +210,82 @@ def test_no_result_takes_the_place_of_what_is_read(
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == f"deltatwin: {written}: is an input file; give another name to write to\n"
     assert (tmp_path / "robot.toml").read_text(encoding="utf-8") == before
+
+
+@pytest.mark.parametrize(
+    ("command", "written"),
+    [
+        ("identify log.csv --robot small.toml --out small.urdf", "small.urdf"),
+        ("identify log.csv --robot small.toml --out columns.toml", "columns.toml"),
+        ("identify log.csv --robot d3-1200 --columns columns.toml --out columns.toml", "columns.toml"),
+        ("export small.toml --to urdf --out small.urdf", "small.urdf"),
+        ("export small.toml --to mjcf --out columns.toml", "columns.toml"),
+        ("convert log.csv --robot small.toml --overwrite small.urdf", "small.urdf"),
+        ("simulate --robot small.toml --motion multisine --out small.urdf", "small.urdf"),
+        ("plan-motion --robot small.toml --for identify --out small.urdf", "small.urdf"),
+        ("export delta.toml --to urdf --out bus.xml", "bus.xml"),
+        ("export delta.toml --to mjcf --effects own_effects.py --out own.xml", "own_effects.py"),
+        ("export out/description.toml --to c --nominal --out out", "out/description.toml"),
+        ("view --robot delta.toml --layout delta.toml", "delta.toml"),
+        ("view --robot delta.toml --layout bus.xml", "bus.xml"),
+    ],
+)
+def test_no_result_takes_the_place_of_what_a_description_names(
+    deltatwin: Run, tmp_path: Path, log: Path, command: str, written: str
+) -> None:
+    arm.write(tmp_path, more='columns = "columns.toml"\n')
+    (tmp_path / "columns.toml").write_text('time = "time_s"\n', encoding="utf-8")
+    (tmp_path / "bus.xml").write_text("<EtherCATConfig/>", encoding="utf-8")
+    (tmp_path / "own_effects.py").write_text(OWN, encoding="utf-8")
+    plain = (SHIPPED / "d3-1200.toml").read_text(encoding="utf-8")
+    known = plain.replace("[drive]\n", '[drive]\neni = "bus.xml"\n') + CARRIED
+    (tmp_path / "delta.toml").write_text(known, encoding="utf-8")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "description.toml").write_text(plain, encoding="utf-8")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    done = deltatwin(*command.split())
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.endswith(f"deltatwin: {written}: is an input file; give another name to write to\n")
+    assert before.items() <= {path: path.read_bytes() for path in tmp_path.rglob("*.*")}.items()
+
+
+@pytest.mark.parametrize("out", [".", "/"])
+@pytest.mark.parametrize(
+    "command", ["export small.toml --to mjcf", "export d3-1200 --to mjcf", "identify log.csv --robot d3-1200"]
+)
+def test_a_folder_is_no_file(deltatwin: Run, tmp_path: Path, log: Path, command: str, out: str) -> None:
+    arm.write(tmp_path)
+    done = deltatwin(*command.split(), "--out", out)
+    assert (done.returncode, done.stderr) == (1, f"deltatwin: {out}: exists and is not a file\n")
+
+
+def test_two_results_are_two_files(deltatwin: Run, tmp_path: Path) -> None:
+    done = deltatwin("simulate", "--robot", "d3-1200", "--duration", "1", "--out", "p.csv", "--picks", "./p.csv")
+    assert done.stderr == "deltatwin: p.csv: is named for two results; give each a name of its own\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "closed-loop --out out",
+        "diagnose log.csv --robot d3-1200 --out out",
+        "estimate --robot d3-1200",
+        "evaluate log.csv --robot d3-1200",
+        "export d3-1200 --to urdf --out out.urdf",
+        "fleet days --robot d3-1200 --out out",
+        "master nowhere0 --robot d3-1200",
+        "payload log.csv --robot d3-1200",
+        "plan-motion --robot d3-1200 --for identify --assume-limits --out out.csv",
+        "rollout log.csv --robot d3-1200",
+        "watch --robot d3-1200",
+    ],
+)
+def test_effects_that_are_not_there_are_never_ignored(deltatwin: Run, tmp_path: Path, log: Path, command: str) -> None:
+    done = deltatwin(*command.split(), "--effects", "nope.py")
+    said = "deltatwin: nope.py: no such file; a Python file with effects is needed\n"
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", said)
+    assert list(tmp_path.iterdir()) == [log]
 
 
 @pytest.mark.parametrize("command", ["evaluate", "payload"])
