@@ -60,6 +60,7 @@ class Chain(Machine):
 
     kind: Literal["chain"]  # of the machine
     called: ClassVar[str] = "an arm"
+    at_rest: ClassVar[str] = "; move joints that rest at zero from `joints` to `held`"
     urdf: str  # file next to this one
     joints: Annotated[Names, Field(min_length=1)]  # of the URDF, in the order of the log
     held: Names = Field([])  # joints that were at rest at zero

@@ -356,6 +356,7 @@ class Described(TomlTable):
     """What descriptions of all kinds say of n joints. called: the kind, in words."""
 
     called: ClassVar[str]
+    at_rest: ClassVar[str] = ""  # where a log has fewer joints: how those that rest are described
     name: RobotName  # of the robot, in keys, topics and reports
     _source: Source = PrivateAttr(Source())
 

@@ -56,19 +56,6 @@ def read_trace(path: str | Path, robot: Description | None = None, columns: Colu
         TraceError: the file is unusable (see the module), or not of as many axes, of the same kind, as described.
     """
     path = Path(path)
-    trace = _read(path, robot, columns)
-    if robot is not None:
-        found = trace.position.shape[1]
-        if found != robot.count:
-            raise TraceError(f"{path}: {found} axes, {robot.name} is described with {robot.count}")
-        if trace.angular != robot.angular:
-            raise TraceError(
-                f"{path}: {'no' if trace.angular else 'an'} axis in m, {robot.name} is described otherwise"
-            )
-    return trace
-
-
-def _read(path: Path, robot: Description | None, columns: Columns | None) -> Trace:
     if path.name.endswith(CAPTURE_ENDINGS):
         if robot is None:
             raise TraceError(f"{path}: a capture is read with its robot description (--robot): layout and scaling")

@@ -49,8 +49,11 @@ def check(trace: Trace, rows: RowNames, robot: Description | None) -> Trace:
     Joint angles are held against the range of `robot`, without one against that of Delta robots in general.
 
     Raises:
-        TraceError: fewer than two samples, stamps that mostly do not rise, or positions mostly outside the joint range.
+        TraceError: not of as many joints, of the same kind, as described; fewer than two samples, stamps that mostly do
+            not rise, or positions mostly outside the joint range.
     """
+    if robot is not None:
+        _as_described(trace, robot)
     if len(trace) < 2:
         raise TraceError(f"{trace.path}: {counted(len(trace), 'sample')}, at least 2 are needed")
     flags = np.zeros(len(trace), np.uint32) if len(trace.flags) == 0 else trace.flags.copy()
@@ -59,6 +62,17 @@ def check(trace: Trace, rows: RowNames, robot: Description | None) -> Trace:
         flags[finding.rows] |= np.uint32(finding.flag)
         findings.append(finding)
     return replace(trace, flags=flags, findings=tuple(findings))
+
+
+def _as_described(trace: Trace, robot: Description) -> None:
+    found = trace.position.shape[1]
+    if found != robot.count:
+        hint = robot.at_rest if found < robot.count else ""
+        raise TraceError(f"{trace.path}: {counted(found, 'joint')}, {robot.name} is described with {robot.count}{hint}")
+    if trace.angular != robot.angular:
+        raise TraceError(
+            f"{trace.path}: {'no' if trace.angular else 'an'} axis in m, {robot.name} is described otherwise"
+        )
 
 
 def _stamps(trace: Trace, rows: RowNames) -> Iterator[Finding]:

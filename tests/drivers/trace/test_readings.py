@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.trace import find_columns, read_trace
+from drivers.trace import find_columns, read_trace, write_trace
 from schemas.axes_description import Axes, load_axes
 from schemas.errors import TraceError
 from schemas.robot import load_robot
@@ -122,14 +122,14 @@ def test_a_log_that_the_urdf_does_not_fit(tmp_path: Path) -> None:
         TraceError, match=r"log.csv: position of joint 1 .* 'j1' of small.urdf .*: degrees for radians\?"
     ):
         read_trace(log, robot)
-    with pytest.raises(TraceError, match=r"log.csv: 3 axes, small is described with 2"):
+    with pytest.raises(TraceError, match=r"log.csv: 3 joints, small is described with 2$"):
         read_trace(arm.record(tmp_path / "log.csv", 1), load_axes(_two(tmp_path)))
 
 
 @pytest.mark.parametrize(
     ("joints", "angle", "force", "said"),
     [
-        (6, "rad", "nm", "6 axes, d3-1200 is described with 3"),
+        (6, "rad", "nm", "6 joints, d3-1200 is described with 3"),
         (3, "m", "n", "an axis in m, d3-1200 is described otherwise"),
     ],
 )
@@ -147,6 +147,19 @@ def test_a_log_of_another_machine_than_the_delta_described(
     np.savetxt(log, np.column_stack([time, wave, wave]), "%.10g", ",", header=",".join(["time_s", *names]), comments="")
     with pytest.raises(TraceError, match=f"log.csv: {said}"):
         read_trace(log, load_robot("d3-1200"))
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.mcap"])
+def test_a_log_without_the_joints_that_rest(tmp_path: Path, name: str) -> None:
+    """As `init` names them all: said before any joint is looked at."""
+    path = arm.write(tmp_path)
+    path.write_text(path.read_text().replace(', "j3"]\nheld = ["grip"]', ', "j3", "grip"]'))
+    log = arm.record(tmp_path / "log.csv", 1)
+    if name == "log.mcap":
+        write_trace(read_trace(log), tmp_path / name)
+    said = rf"{name}: 3 joints, small is described with 4; move joints that rest at zero from `joints` to `held`$"
+    with pytest.raises(TraceError, match=said):
+        read_trace(tmp_path / name, load_axes(path))
 
 
 def _two(folder: Path) -> Path:

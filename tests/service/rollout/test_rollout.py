@@ -196,4 +196,4 @@ def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path: Path) -> None:
     assert "horizon of 9 s: must be 0.01 to 5 s" in said(*mine, "--horizon", "9")
     assert "log.csv: no window of 1 s between faults" in said(*mine, "--horizon", "1")
     assert "other.toml: its [mass] differs from that of" in said(*mine, "--robot", str(tmp_path / "other.toml"))
-    assert "log.csv: 3 axes, a is described with 1" in said("--robot", str(tmp_path / "axes.toml"))
+    assert "log.csv: 3 joints, a is described with 1" in said("--robot", str(tmp_path / "axes.toml"))
