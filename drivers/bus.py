@@ -261,7 +261,7 @@ def open_bus(
     if zenoh_config is not None and _runs_elsewhere(session, token):
         session.close()
         os.close(lock)
-        raise BusError(f"robot {robot!r}: another {role.name.lower()} is running elsewhere on its Zenoh network")
+        raise BusError(f"robot {robot!r}: another {role.noun} is running elsewhere on its Zenoh network")
     return Bus(session, robot, role, lock, zenoh_config is None, ros_domain)
 
 
@@ -308,7 +308,7 @@ def _hold(path: Path, robot: str, role: Role) -> int:
     except BlockingIOError:
         holder = os.read(descriptor, 32).decode(errors="replace").strip()
         os.close(descriptor)
-        raise RoleTakenError(f"robot {robot!r} already has a {role.name.lower()} running (process {holder})") from None
+        raise RoleTakenError(f"robot {robot!r}: another {role.noun} is running (process {holder})") from None
     os.ftruncate(descriptor, 0)
     os.write(descriptor, f"{os.getpid()}\n".encode())
     return descriptor

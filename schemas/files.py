@@ -18,6 +18,7 @@ from schemas.errors import DeltatwinError, StorageError
 
 MIB = 1 << 20
 MAX_LOG_BYTES = 8 << 30  # of samples, unpacked: an hour at 8 kHz is 5 GB as our CSV, 5.7 GB as messages
+MOST_SAMPLES = 40_000_000  # of three joints in that: 200 bytes each as messages, 174 as CSV
 MAX_EXPANSION = 100  # times its size that a packed log may unpack to: measured ones give 3 to 20, bombs 1000
 FREE_EXPANSION_BYTES = 64 * MIB  # that any may unpack to: a small log of a robot at rest packs well
 PART = ".part-"  # in front of the name of a file that is not complete, and of a number

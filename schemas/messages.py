@@ -92,6 +92,11 @@ class Role(enum.IntEnum):
     OBSERVER = 6
     WATCH = 7
 
+    @property
+    def noun(self) -> str:
+        """What a sentence calls its process."""
+        return {Role.ROBOT: "simulated robot", Role.OBSERVER: "`view` or `top`"}.get(self, self.name.lower())
+
 
 class WatchState(enum.IntEnum):
     """State of the watch."""

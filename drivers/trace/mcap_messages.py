@@ -33,6 +33,7 @@ from schemas.files import MIB, most_unpacked
 from schemas.kernels import kernel
 
 MAGIC = b"\x89MCAP0\r\n"
+NOT_MCAP = "not an MCAP file: it does not start like one"
 MAX_CHUNK_BYTES = 64 * MIB  # of one chunk, unpacked; writers in use make chunks of 1 to 8 MiB
 MAX_SUMMARY_BYTES = 64 * MIB  # an hour of six topics in chunks of 1 MiB has 2 MB
 # names that are no text and wrong checksums are a ValueError, lengths beyond all memory an OverflowError
@@ -65,7 +66,7 @@ def read_summary(stream: IO[bytes], path: Path) -> Summary | None:
         TraceError: not an MCAP file. StorageError: cut off, or a summary beyond `MAX_SUMMARY_BYTES`.
     """
     if stream.read(len(MAGIC)) != MAGIC:
-        raise TraceError(f"{path}: not an MCAP file: it does not start like one")
+        raise TraceError(f"{path}: {NOT_MCAP}")
     size = stream.seek(0, io.SEEK_END)
     stream.seek(max(size - _FOOTER_BYTES, 0))
     footer = stream.read()

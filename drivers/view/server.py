@@ -6,6 +6,8 @@ are passed on, evenly chosen: who looks does not see more, and what runs beside 
 
 from __future__ import annotations
 
+import errno
+import socket
 import time
 from collections.abc import Callable
 
@@ -55,7 +57,7 @@ class LiveView:
                 name=f"deltatwin {robot.name}", host=host, port=port, context=context, message_backlog_size=BACKLOG
             )
         except RuntimeError as error:
-            raise BusError(f"{host}:{port}: {error}; --port 0 takes a free one") from error
+            raise BusError(f"{host}:{port}: {_why_not(host, port) or error}") from error
 
     @property
     def port(self) -> int:
@@ -91,6 +93,19 @@ class LiveView:
 
     def __exit__(self, *raised: object) -> None:
         self._server.stop()
+
+
+def _why_not(host: str, port: int) -> str:
+    """Why the system lets nobody listen there; empty where it does."""
+    try:
+        kind, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(kind, socket.SOCK_STREAM) as tried:
+            tried.bind(place)
+    except OSError as error:
+        of_port = error.errno in (errno.EADDRINUSE, errno.EACCES)
+        remedy = "--port 0 takes a free one" if of_port else "--host takes an address of this machine"
+        return f"{error.strerror}; {remedy}"
+    return ""
 
 
 def run(view: LiveView, stopped: Callable[[], bool]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from schemas.words import words
-from service.cli.options import AsJson, OwnEffects, robot_file
+from service.cli.options import AsJson, OwnEffects, check_length, robot_file
 from service.cli.output import as_json, console, say_headline, table
 from service.cli.progress import bars
 
@@ -90,19 +90,22 @@ def command(
     from drivers.simulated.plant.plant import make_plant
     from replay.realtime import go_realtime
     from schemas.axes_description import load_delta
-    from schemas.files import make_folder, write_text
+    from schemas.files import check_apart, make_folder, write_text
     from schemas.questions import Question
     from service.cli.main import MISSED
     from service.experiment.live_loop import CORRECTED, FEEDBACK, RIGID, Subject, ratio, variants
     from service.experiment.loop_page import HEAD, NOTE, SHORT, page, row, verdict_of_correction, verdict_of_models
     from service.experiment.pictures import write_page, write_pictures
 
+    check_length(duration, rate)
     description = load_delta(robot, Question.CLOSED_LOOP)
     plant, which = make_plant(description, truth, 1.0 / rate, seed)
     given = () if effect is None else (draw_effect(effect, plant.described, seed),)
     which += "".join(f"; {name}: {one.in_words}" for name, one in given)
     subject = Subject(description, truth, tuple(one for _, one in given), plant.period)
     make_folder(out)
+    for file in ("identified.toml", "corrected.toml"):
+        check_apart(out / file, *description.sources)
     planner = Planner(description, subject.period)
     masses = tuple(payload) if payload else (1.0, 3.8)
     with bars() as progress:

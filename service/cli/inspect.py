@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
-from service.cli.output import as_json, conclude, console, read_by, say, table
+from service.cli.output import apart_from, as_json, conclude, console, read_by, say, table
 
 ROWS_SHOWN = 12  # changes of a capture
 STAMPS = ("rate_hz", "jitter_std_s", "jitter_p99_s", "jitter_max_s", "gaps", "repeats", "backwards")
@@ -81,7 +81,8 @@ def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | N
     if not usable and unread:
         conclude(said, "import", unread[0], *(("--robot", robot) if robot else ()))
     elif robot and (named := [path for path in usable if path in of_use]):
-        conclude(said, "identify", *named, "--robot", robot, *read_by(columns), "--out", "identified.toml")
+        target = apart_from("identified.toml", robot)
+        conclude(said, "identify", *named, "--robot", robot, *read_by(columns), "--out", target)
     elif usable and not robot:
         conclude(said, "init", "--help")
     else:

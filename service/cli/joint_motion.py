@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from service.cli.output import as_json, console, say_next, table
+from service.cli.output import apart_from, as_json, console, say_next, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def simulate_joints(
         f"simulated {description.name} as it is described; tracking error {', '.join(f'{1e3 * v:.2g}' for v in off)} "
         f"{unit} rms"
     )
-    say_next("identify", out, "--robot", robot, "--out", "identified.toml")
+    say_next("identify", out, "--robot", robot, "--out", apart_from("identified.toml", robot))
 
 
 def plan_joints(

@@ -55,6 +55,8 @@ def command(
     description = load_description(robot)
     name = description.name
     path = out or Path(f"{name}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%SZ}.mcap")
+    if path.suffix != ".mcap":
+        raise StorageError(f"{path}: a recording is an MCAP file; give a name that ends in .mcap")
     if path.exists():
         raise StorageError(f"{path}: exists already; give another name with --out")
     check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do

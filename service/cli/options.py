@@ -38,6 +38,22 @@ def _usable(effects: Path | None) -> Path | None:
     return effects
 
 
+def check_length(duration: float, rate: float) -> None:
+    """duration: s. rate: Hz.
+
+    Raises:
+        BadParameter: no log holds so many samples.
+    """
+    from schemas.files import MAX_LOG_BYTES, MOST_SAMPLES
+
+    if duration * rate > MOST_SAMPLES:
+        raise typer.BadParameter(
+            f"{duration:g} s at {rate:g} Hz: a log has {MOST_SAMPLES / 1e6:g} million samples "
+            f"({MAX_LOG_BYTES >> 30} GiB) at most, here {MOST_SAMPLES / rate:.6g} s",
+            param_hint="--duration",
+        )
+
+
 OwnEffects = Annotated[
     Path | None,
     typer.Option("--effects", metavar="FILE", help="Python file with effects of your own", callback=_usable),

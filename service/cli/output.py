@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -121,6 +122,14 @@ def conclude(said: str, *following: object) -> None:
 def read_by(columns: object) -> tuple[object, ...]:
     """The words by which the command that comes next reads the same logs."""
     return ("--columns", columns) if columns else ()
+
+
+def apart_from(name: str, *read: Path) -> str:
+    """`name` for a file that the next command writes; with a number where that is one of those that it reads."""
+    stem, ending = name.split(".")
+    tries = (name, *(f"{stem}_{number}.{ending}" for number in range(2, len(read) + 3)))
+    taken = {path.resolve() for path in read}
+    return next(one for one in tries if Path(one).resolve() not in taken)
 
 
 def say_next(*following: object) -> None:

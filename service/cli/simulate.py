@@ -9,8 +9,8 @@ import typer
 
 from schemas.words import percent
 from service.cli.joint_motion import simulate_joints
-from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
-from service.cli.output import Table, console, in_quantiles, say_next, table
+from service.cli.options import Insecure, RosDomain, ZenohConfig, check_length, robot_file
+from service.cli.output import Table, apart_from, console, in_quantiles, say_next, table
 from service.cli.progress import bars
 from service.stopping import interrupted
 
@@ -105,6 +105,7 @@ def command(
         raise typer.BadParameter("give the file for the log (--out), or run --live", param_hint="--out")
     if motion not in KINDS and not Path(motion).suffix:
         raise typer.BadParameter(f"{motion!r} is neither a file nor one of {', '.join(KINDS)}", param_hint="--motion")
+    check_length(duration, rate)
     if payload and motion != "pick":
         raise typer.BadParameter(f"only `pick` carries a payload, not `{motion}`", param_hint="--payload")
     described = load_description(robot)
@@ -141,10 +142,19 @@ def command(
             _write_picks(planned, picks)
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
     if out is not None:
-        if planned.payloads:
-            say_next("payload", out, "--robot", robot)
-        else:
-            say_next("identify", out, "--robot", robot, "--out", "identified.toml")
+        _say_next(description, robot, out, truth, bool(planned.payloads))
+
+
+def _say_next(description: Robot, robot: Path, out: Path, truth: str | None, carries: bool) -> None:
+    """What the log is good for; a payload is weighed with an identified robot."""
+    if not carries:
+        say_next("identify", out, "--robot", robot, "--out", apart_from("identified.toml", robot))
+    elif description.identified is not None:
+        say_next("payload", out, "--robot", robot)
+    else:
+        same = ("--truth", truth) if truth else ()
+        fit = apart_from("fit.csv", out)
+        say_next("simulate", "--robot", robot, *same, "--motion", "multisine", "--out", fit)
 
 
 def _plan(

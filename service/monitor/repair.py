@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from drivers.trace.bag import RECORD
-from drivers.trace.mcap_messages import unpack
+from drivers.trace.mcap_messages import MAGIC, NOT_MCAP, unpack
 from schemas.errors import StorageError
 from schemas.files import most_unpacked, whole
 from schemas.ros2 import BagTopic, bag_metadata
@@ -68,6 +68,9 @@ class _Copy:
         limit = source.stat().st_size  # a length that was garbled must not be allocated
         self._room = most_unpacked(limit)
         broken = ""
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise StorageError(f"{source}: {NOT_MCAP}")
+        stream.seek(0)
         records = StreamReader(stream, emit_chunks=True, record_size_limit=limit).records
         while not broken:
             try:

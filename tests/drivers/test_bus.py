@@ -167,7 +167,10 @@ def test_second_process_of_a_role_gets_one_clear_error(peer) -> None:
     first = peer("PLAYER", "count")
     first.hear("ready")
     error = peer("PLAYER", "count").hear("error")["error"]
-    assert error == f"robot 'bench' already has a player running (process {first.process.pid})"
+    assert error == f"robot 'bench': another player is running (process {first.process.pid})"
+    assert [Role.ESTIMATOR.noun, Role.ROBOT.noun, Role.OBSERVER.noun] == [
+        "estimator", "simulated robot", "`view` or `top`",
+    ]  # fmt: skip
     first.kill()  # leaves its socket and lock file behind
     peer("PLAYER", "count").hear("ready")
 

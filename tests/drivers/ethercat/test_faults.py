@@ -284,7 +284,7 @@ def running(wire: Wire) -> Process:
 
 @pytest.mark.parametrize(
     ("name", "says"),
-    [("rig", "robot 'rig' already has a master running"), ("other", f"{rig.NEAR}: already has a master running")],
+    [("rig", "robot 'rig': another master is running"), ("other", f"{rig.NEAR}: already has a master running")],
 )
 def test_a_second_master_does_not_start(wire: Wire, running: Process, tmp_path: Path, name: str, says: str) -> None:
     robot = tmp_path / "robot.toml"

@@ -6,6 +6,7 @@ import asyncio
 import dataclasses
 import json
 import re
+import socket
 import struct
 import time
 import xml.etree.ElementTree as ElementTree
@@ -24,7 +25,7 @@ from drivers.bus import open_bus
 from drivers.trace.tables import read_table
 from drivers.view.foxglove_layout import layout
 from drivers.view.viewer_scene import ViewerScene, transforms
-from schemas.errors import TraceError
+from schemas.errors import BusError, TraceError
 from schemas.messages import OF_DELTA, PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role, fields_of, set_stamp, topics_of
 from schemas.robot import load_robot
 from service.monitor.recording import RecordingWriter
@@ -141,6 +142,29 @@ def test_layout_has_the_settings_that_foxglove_has() -> None:
             check(layer, known.BaseRendererUrdfLayerSettings)
         if "cameraState" in panel:
             check(panel["cameraState"], known.ThreeDeeCameraState)
+
+
+@pytest.mark.parametrize(
+    ("host", "said"),
+    [
+        ("300.1.1.1", r"300.1.1.1:\d+: Name or service not known; --host takes an address of this machine$"),
+        ("192.0.2.1", r"192.0.2.1:\d+: Cannot assign requested address; --host takes an address of this machine$"),
+        ("127.0.0.1", r"127.0.0.1:\d+: Address already in use; --port 0 takes a free one$"),
+    ],
+)
+def test_where_nobody_can_listen_is_told_as_the_system_does(
+    bus_folder: Path, bench_robot: Path, host: str, said: str
+) -> None:
+    pytest.importorskip("foxglove")
+    from drivers.view.server import LiveView
+
+    robot = load_robot(bench_robot)
+    with (
+        socket.create_server(("127.0.0.1", 0)) as other,
+        open_bus(robot.name, Role.OBSERVER) as bus,
+        pytest.raises(BusError, match=f"^{said}"),
+    ):
+        LiveView(bus, robot, host, other.getsockname()[1])
 
 
 def test_a_client_gets_the_messages_as_they_are_and_the_robot(bus_folder: Path, bench_robot: Path) -> None:

@@ -80,5 +80,5 @@ def test_second_player_of_a_robot_is_one_clear_line(folder: Path) -> None:
         process = replay(folder)
         _, error = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert error.splitlines()[-1].startswith("deltatwin: robot 'bench' already has a player running (process ")
+    assert error.splitlines()[-1].startswith("deltatwin: robot 'bench': another player is running (process ")
     assert "Traceback" not in error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace, write_trace
+from replay.demo import ROBOT
 from schemas.robot import SHIPPED
 from schemas.trace import Trace
 from service.cli.main import main
@@ -257,6 +259,43 @@ def test_a_folder_is_no_file(deltatwin: Run, tmp_path: Path, log: Path, command:
     arm.write(tmp_path)
     done = deltatwin(*command.split(), "--out", out)
     assert (done.returncode, done.stderr) == (1, f"deltatwin: {out}: exists and is not a file\n")
+
+
+def test_more_samples_than_a_log_holds_are_not_simulated(deltatwin: Run) -> None:
+    for command in ("simulate --robot d3-1200 --out a.csv", "closed-loop"):
+        done = deltatwin(*command.split(), "--duration", "1e9")
+        assert done.returncode == 2
+        said = " ".join(done.stderr.replace("│", " ").split())
+        assert "1e+09 s at 1000 Hz: a log has 40 million samples (8 GiB) at most, here 40000 s" in said
+
+
+def test_a_recording_of_another_ending_is_refused_before_it_begins(deltatwin: Run, tmp_path: Path) -> None:
+    done = deltatwin("monitor", "--robot", "d3-1200", "--out", "a.csv")
+    assert done.stderr == "deltatwin: a.csv: a recording is an MCAP file; give a name that ends in .mcap\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("robot", "options", "following"),
+    [
+        (
+            "d3-1200",
+            "--payload 3.8 --truth ideal",
+            "simulate --robot d3-1200 --truth ideal --motion multisine --out fit.csv",
+        ),
+        ("d3-1200", "", "identify out.csv --robot d3-1200 --out identified.toml"),
+        ("identified.toml", "--payload 3.8", "payload out.csv --robot identified.toml"),
+        ("identified.toml", "", "identify out.csv --robot identified.toml --out identified_2.toml"),
+        ("small.toml", "--motion multisine", "identify out.csv --robot small.toml --out identified.toml"),
+    ],
+)
+def test_what_follows_a_simulation_can_be_done(
+    deltatwin: Run, tmp_path: Path, robot: str, options: str, following: str
+) -> None:
+    arm.write(tmp_path)
+    shutil.copy(ROBOT, tmp_path / "identified.toml")
+    done = deltatwin("simulate", "--robot", robot, "--duration", "3", "--out", "out.csv", *options.split())
+    assert done.stdout.splitlines()[-1] == f"next: deltatwin {following}"
 
 
 def test_two_results_are_two_files(deltatwin: Run, tmp_path: Path) -> None:

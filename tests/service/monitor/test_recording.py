@@ -269,11 +269,22 @@ def test_tail_of_zeros_as_after_a_power_cut_is_passed_over(run: Path, tmp_path: 
         assert list(StreamReader(stream, validate_crcs=True).records)
 
 
-@pytest.mark.parametrize("content", [b"", b"time_s,position_1_rad\n0,0\n" * 9, bytes(4000)])
-def test_what_is_no_recording_is_refused_and_nothing_is_left_behind(tmp_path: Path, content: bytes) -> None:
+MAGIC = b"\x89MCAP0\r\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "not an MCAP file: it does not start like one"),
+        (b"time_s,position_1_rad\n0,0\n" * 9, "not an MCAP file: it does not start like one"),
+        (MAGIC + bytes(4000), "nothing to save: ."),
+        (MAGIC, "nothing to save: ."),
+    ],
+)
+def test_what_is_no_recording_is_refused_and_nothing_is_left_behind(tmp_path: Path, content: bytes, says: str) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
-    with pytest.raises(StorageError, match=r"x\.mcap: nothing to save: ."):
+    with pytest.raises(StorageError, match=rf"x\.mcap: {says}"):
         repaired(path, tmp_path / "out.mcap")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["x.mcap"]
 

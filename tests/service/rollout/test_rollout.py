@@ -116,6 +116,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
     given = [argument for name in names for argument in ("--robot", str(tmp_path / f"{name}.toml"))]
     told = runner.invoke(app, ["rollout", str(trace), *given, "--out", str(tmp_path / "out")])
     assert told.exit_code == 0, told.output
+    assert f"next: `deltatwin export {tmp_path / 'corrected.toml'} --to mjcf --out robot.xml`" in told.output
     written = json.loads((tmp_path / "out" / "rollout.json").read_text())
     assert written["schema"] == "deltatwin.rollout/1"
     assert [entry["robot"] for entry in written["robots"]] == [PLAIN, "identified", "corrected"]
