@@ -21,6 +21,16 @@ def percent(share: float, decimals: int = 0) -> str:
     return f"{round(100 * share, decimals) + 0.0:.{decimals}f} %"
 
 
+def part_of(share: float) -> str:
+    """A share before what it is of: in percent, or as so many times all of it.
+
+    Example:
+        >>> part_of(0.51), part_of(1.0), part_of(12852486.0)
+        ('51 % of', '100 % of', '13000000 times')
+    """
+    return f"{percent(share)} of" if share <= 1.0 else f"{significant(share, 2)} times"
+
+
 def change(ratio: float, decimals: int = 0) -> str:
     """A ratio as a change in percent, with its sign.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from schemas.words import significant
 from service.cli.output import apart_from, as_json, console, say_next, table
 from service.cli.progress import bars
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 TRIES = 40  # motions that are compared
 DEFAULTS = {"--max-speed": 1.0, "--max-acceleration": 5.0}  # of a simulated machine, rad or m
+UNITS = {"--max-speed": "rad/s", "--max-acceleration": "rad/s^2", "--max-torque": "N m"}  # of joints that turn
 NOISE_SHARE = 0.005  # of a joint's largest torque, where no noise is known
 
 
@@ -47,7 +49,7 @@ def simulate_joints(
 
     machine = machine_of(description)
     tight, missing = limits_of(machine, *limits)
-    given = dict(zip(("--max-speed", "--max-acceleration", "--max-torque"), limits, strict=True))
+    given = dict(zip(UNITS, limits, strict=True))
     given |= {name: DEFAULTS[name] for name in missing if name in DEFAULTS}
     tight, _ = limits_of(machine, *given.values())
     if motion in ("multisine", "slow"):
@@ -61,10 +63,8 @@ def simulate_joints(
     off = np.sqrt(np.mean((log.position - log.command) ** 2, axis=0))
     unit = "mrad" if description.angular else "mm"
     typer.echo(f"{out}: {len(trace)} samples at {rate:.6g} Hz, {path.time[-1]:.3f} s")
-    typer.echo(
-        f"simulated {description.name} as it is described; tracking error {', '.join(f'{1e3 * v:.2g}' for v in off)} "
-        f"{unit} rms"
-    )
+    errors = ", ".join(significant(1e3 * value, 2) for value in off)
+    typer.echo(f"simulated {description.name} as it is described; tracking error {errors} {unit} rms")
     say_next("identify", out, "--robot", robot, "--out", apart_from("identified.toml", robot))
 
 
@@ -96,11 +96,13 @@ def plan_joints(
     tight, missing = limits_of(machine, *limits)
     asked = [name for name in missing if name in DEFAULTS]
     if asked and not assume:
-        told = ", ".join(f"{name} ({DEFAULTS[name]:g} assumed)" for name in asked)
+        told = ", ".join(
+            f"{name} ({DEFAULTS[name]:g} {in_units_of(description, UNITS[name])} assumed)" for name in asked
+        )
         raise DataError(
             f"{description.name}: no limit is given for {told}: give it as an option; --assume-limits uses these values"
         )
-    given = dict(zip(("--max-speed", "--max-acceleration", "--max-torque"), limits, strict=True))
+    given = dict(zip(UNITS, limits, strict=True))
     tight, _ = limits_of(machine, *(given | {name: DEFAULTS[name] for name in asked}).values())
     base = base_of(description)
     with bars() as progress:
@@ -117,17 +119,16 @@ def plan_joints(
         typer.echo(as_json("plan-motion", figures | {"std_errors": known, "assumed": asked}))
         return
     rows = [
-        (name, f"{noise * error:.2g}" if np.isfinite(error) else "not identifiable", unit)
+        (name, significant(noise * error, 2) if np.isfinite(error) else "not identifiable", unit)
         for (name, unit), error in zip(names, errors, strict=True)
     ]
-    console().print(table(("parameter", "standard error", "unit"), rows, f"after this run, for noise of {noise:.2g}"))
+    title = f"after this run, for torque noise of {significant(noise, 2)} {in_units_of(description, 'N m')}"
+    console().print(table(("parameter", "standard error", "unit"), rows, title))
     if asked:
         typer.echo(f"assumed, as not given: {', '.join(asked)}: check before a machine runs this")
-    typer.echo(
-        f"best of {TRIES}: {out}, {motion.time[-1]:.1f} s at {rate:g} Hz, up to "
-        f"{np.abs(motion.theta_dot).max():.3g} in speed, {np.abs(motion.theta_ddot).max():.3g} in acceleration, "
-        f"{np.abs(torque).max():.3g} in torque"
-    )
+    largest = zip((motion.theta_dot, motion.theta_ddot, torque), UNITS.values(), strict=True)
+    used = ", ".join(f"{np.abs(values).max():.3g} {in_units_of(description, unit)}" for values, unit in largest)
+    typer.echo(f"best of {TRIES}: {out}, {motion.time[-1]:.1f} s at {rate:g} Hz, up to {used}")
     say_next("simulate", "--robot", robot, "--motion", out, "--out", "tried.csv")
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from schemas.words import significant
 from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import reading
 
@@ -82,4 +83,4 @@ def _table(found: JointRollout) -> Table:
 
 
 def _thousandths(value: float) -> str:
-    return f"{1e3 * value:.3g}" if math.isfinite(value) else "ran away"
+    return significant(1e3 * value) if math.isfinite(value) else "ran away"

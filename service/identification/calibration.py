@@ -20,6 +20,7 @@ import numpy as np
 from schemas.errors import DataError
 from schemas.robot import EffectEntry, Identified, Robot
 from schemas.trace import Trace
+from schemas.words import part_of
 from service.estimator.payload.payload_state import UNCALIBRATED
 from service.identification import checks
 from service.identification.fit import solve
@@ -232,7 +233,7 @@ def _check(
         share = np.sqrt(max(square, 0.0) / max(torque, 1e-12))
         if share > SUSPECT:
             raise DataError(
-                f"{log.name}: with {load:g} kg on the platform the model leaves {100 * share:.0f} % of the torque "
+                f"{log.name}: with {load:g} kg on the platform the model leaves {part_of(share)} the torque "
                 "unexplained; is that payload carried in the whole log?"
             )
     scale = values[_SCALE]

@@ -15,6 +15,7 @@ import numpy as np
 
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError
+from schemas.words import part_of
 from service.identification.fit import solve
 from service.identification.folds import FOLDS
 from service.identification.pooled import Plain
@@ -210,7 +211,7 @@ def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -
         if held[worst] > max(FOREIGN * typical, 2 * SUSPECT):
             name, joint = logs[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
             stands_out = (
-                f"{name}: does not match the other logs: the fit to those leaves {100 * held[worst]:.0f} % of its "
+                f"{name}: does not match the other logs: the fit to those leaves {part_of(held[worst])} its "
                 f"torque unexplained (of their own {100 * typical:.1f} %), most on joint {joint + 1}"
             )
             hint = hints.pop(name, "")
@@ -224,7 +225,7 @@ def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -
     if share.max() > HOPELESS:
         worst = int(np.argmax(share))
         raise DataError(
-            f"{logs[worst].name}: the model leaves {100 * share[worst]:.0f} % of the torque unexplained; "
+            f"{logs[worst].name}: the model leaves {part_of(share[worst])} the torque unexplained; "
             "are the robot description, the units and the joints right?"
         )
     warnings += [f"{name}: {hint} Identify on motion without payload" for name, hint in hints.items()]

@@ -10,7 +10,7 @@ from schemas.axes_description import Axes
 from schemas.chain_description import Chain
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
-from schemas.words import percent
+from schemas.words import part_of, percent
 from service.identification import checks
 from service.identification.folds import BLOCK, Split, block_loss, held_out
 from service.identification.from_traces import fit_to, written
@@ -80,7 +80,7 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
     name, warnings = traces[log].path.name, []
     if share.max() > checks.HOPELESS:
         warnings.append(
-            f"{name}: the model leaves {100 * share.max():.0f} % of the torque of axis {axis + 1} unexplained. Are "
+            f"{name}: the model leaves {part_of(share.max())} the torque of axis {axis + 1} unexplained. Are "
             "units, order of joints, gear ratio and coupling right? `deltatwin diagnose` shows more"
         )
     else:
@@ -103,7 +103,7 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
 def _much_left(fit: Plain) -> list[str]:
     """Of axes whose torque on all logs together the model leaves much of."""
     share = np.sqrt(np.sum(fit.residual**2, axis=0) / np.maximum(np.sum(fit.torque**2, axis=0), 1e-12))
-    told = [f"{100 * share[axis]:.0f} % of the torque of axis {axis + 1}" for axis in np.flatnonzero(share > MUCH)]
+    told = [f"{part_of(share[axis])} the torque of axis {axis + 1}" for axis in np.flatnonzero(share > MUCH)]
     if not told:
         return []
     return [

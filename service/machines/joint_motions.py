@@ -13,6 +13,7 @@ import numpy as np
 from schemas.errors import DataError
 from service.machines.machine import Limits, MachineModel
 from service.model.coulomb_viscous import mean_direction
+from service.model.description import in_units_of
 from service.model.scene import Base
 
 HARMONICS = 6  # of the motion's length
@@ -89,9 +90,10 @@ def multisine(
         if (np.abs(needed) <= limits.torque).all():
             return motion
         path = [part * SHRINK for part in path]
+    unit = in_units_of(machine.description, "N m")
     raise DataError(
-        f"{machine.description.name}: holding it in the middle of its range needs up to {np.abs(needed).max():.3g}, "
-        f"but the smallest torque limit of a joint is {np.min(limits.torque):g}"
+        f"{machine.description.name}: holding it in the middle of its range needs up to {np.abs(needed).max():.3g} "
+        f"{unit}, but the smallest torque limit of a joint is {np.min(limits.torque):g} {unit}"
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from schemas.axes_description import Description
 from schemas.errors import DataError, NoWindowError, UnansweredError
 from schemas.trace import Trace
+from schemas.words import significant
 from service.identification.noise import white_noise
 from service.machines import machine_of
 from service.machines.forward_runs import run
@@ -218,17 +219,19 @@ def sentences(found: JointRollout) -> list[str]:
     last = robots[-1]
     share = last.joint_rms / still.joint_rms
     worst = max(range(len(share)), key=lambda joint: share[joint])
-    least = f"{100 * min(share):.2g} to " if len(share) > 1 else ""
+    least = f"{significant(100 * min(share), 2)} to " if len(share) > 1 else ""
     lines = [
-        f"{last.name}: after {1e3 * found.horizon:.0f} ms its joints are off by {least}{100 * share[worst]:.2g} % of "
-        f"their travel, joint {worst + 1} most."
+        f"{last.name}: after {1e3 * found.horizon:.0f} ms its joints are off by {least}"
+        f"{significant(100 * share[worst], 2)} % of their travel, joint {worst + 1} most."
     ]
     if not last.good.any():
         lines = []
     elif share[worst] > 1.0:
         lines.append(f"Joint {worst + 1} is off by more than its travel: wrong sign or unit of its torque, or a load?")
     if last.good.any() and (one := last.tool_rms) is not None and (noise := floor.tool_rms) is not None:
-        lines.append(f"Its tool is off by {1e3 * one:.3g} mm; noise alone gives {1e3 * noise:.3g} mm.")
+        lines.append(
+            f"Its tool is off by {significant(1e3 * one)} mm; noise alone gives {significant(1e3 * noise)} mm."
+        )
     lines += [
         f"{one.name}: runs away in {int((~one.good).sum())} of {len(one.good)} windows: no value here includes these."
         for one in robots

@@ -219,6 +219,12 @@ def test_an_axis_of_which_all_logs_leave_a_fifth_is_told(second: float, told: st
     assert all(line.startswith(f"the model leaves 21 % of the torque of {told} unexplained. ") for line in found)
 
 
+def test_many_times_the_torque_is_no_percentage() -> None:
+    fit = stub(residual=np.array([[13.4]]), torque=np.array([[1e-6]]))
+    (found,) = joint_machines._much_left(fit)
+    assert found.startswith("the model leaves 13000000 times the torque of axis 1 unexplained. ")
+
+
 @pytest.mark.parametrize(("seconds", "enough"), [(3.9, False), (4.1, True)])
 def test_two_blocks_a_parameter_and_axis_are_enough(monkeypatch, seconds, enough):
     """Half a second each, of the axis that moves most, over all logs; an axis without weight has four."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -87,9 +88,13 @@ def test_plan_motion_asks_for_limits_and_its_motion_can_be_simulated(tmp_path: P
     words = ["plan-motion", "--robot", str(tmp_path / "a.toml"), "--for", "identify", "--duration", "5"]
     words += ["--out", str(tmp_path / "m.csv")]
     refused = CliRunner().invoke(app, words)
-    assert "no limit is given for --max-speed (1 assumed), --max-acceleration" in str(refused.exception)
+    asked = "--max-speed (1 rad/s assumed), --max-acceleration (5 rad/s^2 assumed)"
+    assert f"no limit is given for {asked}" in str(refused.exception)
     told = json.loads(run(words[0], *words[1:], "--max-speed", 2, "--max-acceleration", 9, "--json"))
     assert told["assumed"] == []
+    table = run(*words, "--max-speed", 2, "--max-acceleration", 9)
+    for said in (r"for torque noise of 0\.\d+ N m", r"up to [\d.]+ rad/s, [\d.]+ rad/s\^2, [\d.]+ N m\n"):
+        assert re.search(said, table), said
     assert set(told["std_errors"]) >= {"inertia_1", "gravity_sin_1", "f_c_2"}
     said = run(
         "simulate", "--robot", tmp_path / "a.toml", "--motion", tmp_path / "m.csv", "--out", tmp_path / "log.csv"
