@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from schemas.errors import DeltatwinError
 from schemas.files import read_bytes
@@ -86,7 +87,11 @@ def validate(model: type[_Model], values: dict[str, Any], path: Path, error: typ
 def explain(error: ValidationError) -> str:
     """The first finding of a Pydantic error as `key: what is wrong (got value)`."""
     errors = error.errors()
-    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])  # a misspelt key, not its absence
+    return explain_one(next((e for e in errors if e["type"] == "extra_forbidden"), errors[0]))  # misspelt, not absent
+
+
+def explain_one(first: ErrorDetails) -> str:
+    """A finding of a Pydantic error, as `explain` does."""
     key = ".".join(str(part) for part in first["loc"]) or "file"
     if first["type"] == "extra_forbidden":
         return f"{key}: unknown key (value {_shown(first['input'])})"

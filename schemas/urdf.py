@@ -109,6 +109,15 @@ def turning_joints(path: Path) -> list[str]:
     return [_text(path, one, "name") for one in joints if one.get("type") in TURNS and one.find("mimic") is None]
 
 
+def moving_joints(path: Path) -> list[str]:
+    """Names of all joints of a URDF that move, in its order.
+
+    Raises:
+        RobotError: it is no URDF.
+    """
+    return [_text(path, one, "name") for one in _root(path).findall("joint") if one.get("type") != "fixed"]
+
+
 def _root(path: Path) -> Element:
     try:
         root = fromstring(read_bytes(path, MAX_BYTES, RobotError), forbid_dtd=True)

@@ -9,12 +9,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from schemas.axes_description import Axes
 from schemas.chain_description import Chain
 from schemas.errors import RobotError
-from schemas.robot import Robot, Source
-from schemas.toml import validate
-from schemas.urdf import turning_joints
+from schemas.robot import Described, Robot, Source
+from schemas.toml import explain_one, validate
+from schemas.urdf import moving_joints, read_urdf, turning_joints
 
 MOST_AXES = 12
 
@@ -85,7 +87,12 @@ def for_urdf(urdf: Path) -> tuple[Question, ...]:
         raise RobotError(f"{urdf}: no joint of it turns and has its own torque")
     return (
         Question("name", "name of the arm", default=urdf.stem.replace("_", "-"), text=True),
-        Question("joints", "joints in the order of the log, separated by commas", default=",".join(joints), text=True),
+        Question(
+            "joints",
+            "joints of the log in its order, separated by commas; others are at rest",
+            default=",".join(joints),
+            text=True,
+        ),
         Question("gear_ratio", "motor turns per turn of a joint", default="1"),
     )
 
@@ -96,14 +103,47 @@ def write_up(questions: Sequence[Question], answers: Mapping[str, str], out: Pat
     Raises:
         RobotError: an answer that is no number, or that describes an impossible machine; names key and value.
     """
-    if urdf is not None:
-        text, model = _arm(questions, answers, os.path.relpath(urdf, out.parent)), Chain
-    elif any(question.key.startswith("axis.") for question in questions):
-        text, model = _tables(questions, answers, 'kind = "axes"\n', "[[axis]]"), Axes
-    else:
-        text, model = _tables(questions, answers, "", "[{}]"), Robot
+    text, model = _written(questions, answers, out, urdf)
     validate(model, tomllib.loads(text), out, RobotError).read_from(Source(out.parent))
     return text
+
+
+def fault(
+    questions: Sequence[Question], answers: Mapping[str, str], out: Path, urdf: Path | None = None
+) -> tuple[str, str] | None:
+    """What is wrong with the answers so far: the key, or the table where it takes several, and a sentence."""
+    answered = [question for question in questions if question.key in answers]
+    for question in answered:
+        try:
+            _value(question, answers[question.key])
+        except RobotError as error:
+            return question.key, str(error)
+    text, model = _written(answered, answers, out, urdf)
+    values = tomllib.loads(text)
+    try:
+        if urdf is not None and "joints" in answers:
+            read_urdf(urdf, values["joints"], values.get("held", []))
+        model.model_validate(values, strict=True)
+    except RobotError as error:
+        return "joints", str(error)
+    except ValidationError as error:
+        for one in error.errors():
+            if one["type"] != "missing":  # it is not asked yet
+                return ".".join(str(part + 1 if isinstance(part, int) else part) for part in one["loc"]), explain_one(
+                    one
+                )
+    return None
+
+
+def _written(
+    questions: Sequence[Question], answers: Mapping[str, str], out: Path, urdf: Path | None
+) -> tuple[str, type[Described]]:
+    """The text of a description with the answers to `questions`, and the kind that it is of."""
+    if urdf is not None:
+        return _arm(questions, answers, urdf, out.parent), Chain
+    if any(question.key.startswith("axis.") for question in questions):
+        return _tables(questions, answers, 'kind = "axes"\n', "[[axis]]"), Axes
+    return _tables(questions, answers, "", "[{}]"), Robot
 
 
 def _tables(questions: Sequence[Question], answers: Mapping[str, str], head: str, heading: str) -> str:
@@ -111,7 +151,7 @@ def _tables(questions: Sequence[Question], answers: Mapping[str, str], head: str
     lines, open_table = [head.rstrip()] if head else [], ""
     for question in questions:
         table, _, key = question.key.rpartition(".")
-        if question.key.endswith(".gravity") and answers[f"{table}.unit"] == "m":
+        if question.key.endswith(".gravity") and answers.get(f"{table}.unit") == "m":
             continue  # a linear axis has a constant weight
         if table != open_table:
             lines += ["", heading.format(table)]
@@ -120,16 +160,20 @@ def _tables(questions: Sequence[Question], answers: Mapping[str, str], head: str
     return "\n".join([*lines, ""])
 
 
-def _arm(questions: Sequence[Question], answers: Mapping[str, str], urdf: str) -> str:
-    joints = [name.strip() for name in answers["joints"].split(",")]
-    ratio = next(question for question in questions if question.key == "gear_ratio")
-    return (
-        f"name = {json.dumps(answers['name'])}\n"
-        'kind = "chain"\n'
-        f"urdf = {json.dumps(urdf)}  # next to this file\n"
-        f"joints = {json.dumps(joints)}  # in the order of the log\n"
-        f"gear_ratio = {_value(ratio, answers['gear_ratio'])}  # {ratio.comment}; or a list, one per joint\n"
-    )
+def _arm(questions: Sequence[Question], answers: Mapping[str, str], urdf: Path, folder: Path) -> str:
+    lines = ['kind = "chain"', f"urdf = {json.dumps(os.path.relpath(urdf, folder))}  # as seen from this file"]
+    for question in questions:
+        answer = answers[question.key]
+        if question.key == "joints":
+            joints = [name.strip() for name in answer.split(",")]
+            rest = [name for name in moving_joints(urdf) if name not in joints]
+            lines.append(f"joints = {json.dumps(joints)}  # in the order of the log")
+            lines += [f"held = {json.dumps(rest)}  # not in the log: at rest at zero"] if rest else []
+        elif question.key == "gear_ratio":
+            lines.append(f"gear_ratio = {_value(question, answer)}  # {question.comment}; or a list, one per joint")
+        else:
+            lines.insert(0, f"{question.key} = {_value(question, answer)}")
+    return "\n".join([*lines, ""])
 
 
 def _value(question: Question, answer: str) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.asking import confirm
 from service.cli.options import AsJson, robot_file
 from service.cli.output import as_json, console, say, say_next
 from service.cli.output import table as printed
@@ -135,7 +136,7 @@ def _ask(proposal: Proposal) -> None:
 
     if not sys.stdin.isatty():
         raise typer.BadParameter("there is no terminal to ask; --yes accepts the proposal", param_hint="--yes")
-    if not typer.confirm("accept it?", default=not proposal.doubts, err=True):
+    if not confirm("accept it?", not proposal.doubts):
         typer.echo("nothing written; correct it with --position, --torque, --time, --torque-unit ...", err=True)
         raise typer.Exit(1)
 

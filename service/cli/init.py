@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.asking import ask
 from service.cli.output import conclude
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from service.interview import Question
 
@@ -36,9 +37,9 @@ def command(
 
     Example: deltatwin init --urdf ur10.urdf --answer name=cell-3 --out arm.toml
     """
-    from schemas.errors import RobotError, StorageError
+    from schemas.errors import StorageError
     from schemas.files import make_folder, write_text
-    from service.interview import DELTA, for_axes, for_urdf, write_up
+    from service.interview import DELTA, fault, for_axes, for_urdf, write_up
 
     if urdf is not None and axes is not None:
         raise typer.BadParameter("an arm from its URDF or separate axes, not both", param_hint="--axes")
@@ -46,18 +47,8 @@ def command(
         raise StorageError(f"{out}: exists already; give another name with --out")
     make_folder(out.parent)
     questions = for_urdf(urdf) if urdf is not None else for_axes(axes) if axes is not None else DELTA
-    given = _given(answer or [], questions)
-    while True:
-        answers = _asked(questions, given)
-        try:
-            text = write_up(questions, answers, out, urdf)
-            break
-        except RobotError as error:
-            if not sys.stdin.isatty():
-                raise
-            typer.secho(f"{error}; once more:", fg="yellow", err=True)
-            questions = _with_defaults(questions, answers)
-            given = {}
+    answers = _asked(questions, _given(answer or [], questions), lambda known: fault(questions, known, out, urdf))
+    text = write_up(questions, answers, out, urdf)
     write_text(out, text)
     conclude(f"wrote {out}: {len(answers)} answers.", "import", "YOUR_LOG", "--robot", out)
 
@@ -74,29 +65,45 @@ def _given(answers: Sequence[str], questions: Sequence[Question]) -> dict[str, s
     return given
 
 
-def _asked(questions: Sequence[Question], given: Mapping[str, str]) -> dict[str, str]:
+def _asked(
+    questions: Sequence[Question],
+    given: Mapping[str, str],
+    fault: Callable[[Mapping[str, str]], tuple[str, str] | None],
+) -> dict[str, str]:
     """All answers: those given, and the rest as the terminal gives them, or by their defaults where there is none.
+    fault: what is wrong with answers so far, and where; in a terminal that is asked again at once.
 
     Raises:
         RobotError: there is neither answer nor default nor terminal.
     """
+    if not sys.stdin.isatty():
+        return {question.key: _unasked(question, given) for question in questions}
+    defaults = {question.key: question.default for question in questions}
+    answers, before = dict(given), dict(defaults)
+    while True:
+        while found := fault(answers):
+            where, said = found
+            typer.secho(f"{said}; once more:", fg="yellow", err=True)
+            again = [key for key in answers if f"{key}.".startswith(f"{where}.")] or list(answers)
+            before |= {key: answers.pop(key) for key in again}
+            wrong = min(again, key=lambda key: _place(key, said))
+            before[wrong] = defaults[wrong] if defaults[wrong] != before[wrong] else None
+        question = next((one for one in questions if one.key not in answers), None)
+        if question is None:
+            return answers
+        answers[question.key] = ask(question.prompt, before[question.key])
+
+
+def _place(key: str, said: str) -> int:
+    """Where a sentence names a key; behind all else where it does not."""
+    found = said.find(key.rpartition(".")[2])
+    return len(said) if found < 0 else found
+
+
+def _unasked(question: Question, given: Mapping[str, str]) -> str:
     from schemas.errors import RobotError
 
-    answers = {}
-    for question in questions:
-        if question.key in given:
-            answers[question.key] = given[question.key]
-        elif sys.stdin.isatty():
-            answers[question.key] = str(typer.prompt(question.prompt, default=question.default, err=True))
-        elif question.default is not None:
-            answers[question.key] = question.default
-        else:
-            raise RobotError(f"{question.key}: not answered ({question.prompt}): --answer {question.key}=VALUE")
-    return answers
-
-
-def _with_defaults(questions: Sequence[Question], answers: Mapping[str, str]) -> list[Question]:
-    """The same questions with what was answered before as their defaults."""
-    from dataclasses import replace
-
-    return [replace(question, default=answers[question.key]) for question in questions]
+    answer = given.get(question.key, question.default)
+    if answer is None:
+        raise RobotError(f"{question.key}: not answered ({question.prompt}): --answer {question.key}=VALUE")
+    return answer

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -17,6 +20,7 @@ from schemas.errors import DeltatwinError, RobotError, StorageError
 from schemas.robot import load_robot
 from service.cli.main import app
 from service.interview import DELTA, for_axes
+from tests.service.arm import URDF
 
 PROGRAM = Path(sys.executable).with_name("deltatwin")
 ANSWERS = {
@@ -57,6 +61,15 @@ def test_axes_and_an_arm_by_its_urdf(data: Path, tmp_path: Path) -> None:
     arm = load_description(tmp_path / "arm.toml")
     assert isinstance(arm, Chain)
     assert (arm.name, arm.urdf, arm.count, arm.joints[0]) == ("ur10", "cad/ur10.urdf", 6, "shoulder_pan_joint")
+    assert 'urdf = "cad/ur10.urdf"  # as seen from this file\n' in (tmp_path / "arm.toml").read_text()
+
+
+def test_joints_that_are_not_in_the_log_are_at_rest(tmp_path: Path) -> None:
+    (tmp_path / "small.urdf").write_text(URDF)
+    init(tmp_path / "arm.toml", {"joints": "j1, j2,j3"}, "--urdf", str(tmp_path / "small.urdf"))
+    arm = load_description(tmp_path / "arm.toml")
+    assert isinstance(arm, Chain)
+    assert (arm.joints, arm.held) == (["j1", "j2", "j3"], ["grip"])
 
 
 @pytest.mark.parametrize(
@@ -87,25 +100,46 @@ def test_an_unknown_key_names_those_that_there_are(tmp_path: Path) -> None:
     assert len({question.key for question in for_axes(12)}) == 37
 
 
-def test_a_terminal_is_asked_and_asked_again_where_it_cannot_be(tmp_path: Path) -> None:
+def terminal(command: Sequence[str | Path], lines: Sequence[str]) -> tuple[int, str]:
+    """`command` in a terminal in which somebody types `lines`, then Ctrl-C: exit code, and what is on the screen."""
     pty = pytest.importorskip("pty")
     master, slave = pty.openpty()
-    command = [PROGRAM, "init", "--out", tmp_path / "robot.toml", "--answer", "name=cell-3"]
-    with subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave) as process:
+    with subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True) as process:
         os.close(slave)
-        asked = [value for key, value in ANSWERS.items() if key != "name"]
-        too_short = [asked[0], "0.1", *asked[2:]]
-        again = ["", "", "0.8", *[""] * 7]  # what was answered is what it is if nothing is
-        os.write(master, "\n".join([*too_short, *again, ""]).encode())
-        said = b""
+        said, typed = "", iter(lines)
         while process.poll() is None:
             try:
-                said += os.read(master, 4096)
+                said += os.read(master, 4096).decode()
             except OSError:
                 break
-        assert process.wait(60) == 0, said.decode()
+            if said.endswith(": "):
+                if (line := next(typed, None)) is not None:
+                    os.write(master, f"{line}\n".encode())
+                else:
+                    process.send_signal(signal.SIGINT)
+        code = process.wait(60)
     os.close(master)
-    assert b"does not reach the axis" in said
-    assert b"upper arm, from the motor's axis to the elbow, m" in said
+    return code, said.replace("\r", "")
+
+
+def test_a_wrong_answer_in_a_terminal_is_asked_again_at_once(tmp_path: Path) -> None:
+    command = [PROGRAM, "init", "--out", tmp_path / "robot.toml", "--answer", "name=cell-3", "--answer"]
+    geometry = ["wide", "0.3", "0.1", "0.2", "0.05", "", "0.8", "", ""]  # what was answered is what it is if nothing is
+    code, said = terminal([*command, "drive.gear_ratio=two"], [*geometry, "-1", "1", "0.2", "0.5", "25", ""])
+    assert code == 0, said
+    upper, forearm = "upper arm, from the motor's axis to the elbow, m", "forearm, from the elbow to its joint"
+    for told, asked in (
+        ("drive.gear_ratio: 'two' is not a number", f"{upper}: wide"),
+        ("'wide' is not a number", f"{upper}: 0.3"),
+        ("does not reach the axis", f"{upper} [0.3]: \n{forearm} at the platform, m: 0.8\n"),
+        ("mass.active_link: Input should be greater", "mass of one upper arm, kg: 1\n"),
+    ):
+        assert re.search(f"{re.escape(told)}.*; once more:.*\n{re.escape(asked)}", said), said
     robot = load_robot(tmp_path / "robot.toml")
     assert (robot.name, robot.geometry.passive_link_length, robot.drive.gear_ratio) == ("cell-3", 0.8, 25.0)
+
+
+def test_ctrl_c_at_a_question_ends_it_as_ctrl_c_does(tmp_path: Path) -> None:
+    code, said = terminal([PROGRAM, "init", "--out", tmp_path / "robot.toml"], ["cell-3"])
+    assert (code, said.splitlines()[-1]) == (130, "upper arm, from the motor's axis to the elbow, m: ")
+    assert not list(tmp_path.iterdir())
