@@ -5,12 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import multiprocessing.process
 import os
+import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 
 import numpy as np
 import zenoh
@@ -20,6 +22,7 @@ from drivers.inbox import Inbox
 from replay.realtime import go_realtime
 from schemas.errors import BusError
 from schemas.messages import FEEDFORWARD, NANOSECONDS, SAMPLE, Role, set_stamp
+from service.stopping import stop_requested, terminate_as_interrupt
 
 LEAD_NS = 20_000_000  # from the call to the first deadline
 START_S = 300.0  # an estimator that compiles its kernels on a busy host takes a minute
@@ -70,17 +73,19 @@ class Prober:
         messages = [payload[n * size : (n + 1) * size] for n in range(count)]
         sent_at = np.zeros(count, np.int64)
         listener = _Listener(self._answers)
-        put, begin = self._publisher.put, time.monotonic_ns() + LEAD_NS
-        for n, message in enumerate(messages):
-            ahead = begin + n * self._period_ns - time.monotonic_ns()
-            if ahead > 0:
-                time.sleep(ahead * 1e-9)
-            sent_at[n] = time.monotonic_ns()
-            put(message)
-            if n % 1024 == 0:
-                show(n)
-        time.sleep(STRAGGLE_S)
-        answers, arrival = listener.stop()
+        try:
+            put, begin = self._publisher.put, time.monotonic_ns() + LEAD_NS
+            for n, message in enumerate(messages):
+                ahead = begin + n * self._period_ns - time.monotonic_ns()
+                if ahead > 0:
+                    time.sleep(ahead * 1e-9)
+                sent_at[n] = time.monotonic_ns()
+                put(message)
+                if n % 1024 == 0:
+                    show(n)
+            time.sleep(STRAGGLE_S)
+        finally:  # on Ctrl-C, too: the bus closes under it otherwise
+            answers, arrival = listener.stop()
         order = answers["sequence"].astype(np.int64) - self._next
         mine = (order >= 0) & (order < count)
         self._next += count
@@ -118,8 +123,8 @@ def take_turns(
     """Round trips to each of `answerers`, `BLOCKS` times in turns, so that all see the same machine.
 
     Each is called in a process of its own with the name of the robot whose samples it has to answer; it is ended with
-    SIGTERM. Their runtime folder is theirs alone, beside the roles of a running robot. count: samples to each. show: is
-    told how many have been sent.
+    SIGTERM, and Ctrl-C does not reach it. Their runtime folder is theirs alone, beside the roles of a running robot.
+    count: samples to each. show: is told how many have been sent.
 
     Raises:
         BusError: one of them ended or does not begin to listen.
@@ -132,8 +137,9 @@ def take_turns(
         processes = {}
         for what, answer in answerers.items():
             processes[what] = context.Process(target=answer, args=(names[what],))
-            processes[what].start()
-            stack.callback(_end, processes[what])
+            with _without_interrupts():
+                processes[what].start()
+                stack.callback(_end, processes[what])
         go_realtime("latency")
         probers = {
             what: Prober(stack.enter_context(open_bus(name, Role.PLAYER)), samples, rate)
@@ -152,6 +158,25 @@ def take_turns(
                 trips[what].append(prober.probe(block, lambda n, base=done: show(base + n)))
                 done += block
     return trips
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let Ctrl-C wait until this is left, and not reach a process that is started in here: while that starts, it would
+    print a traceback.
+
+    Raises:
+        KeyboardInterrupt: it came.
+    """
+    resource_tracker.ensure_running()  # by the first start, and it would let interrupts through
+    stopped, blocked = stop_requested(), signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        terminate_as_interrupt()
+    if stopped():
+        raise KeyboardInterrupt
 
 
 def _end(process: multiprocessing.process.BaseProcess) -> None:

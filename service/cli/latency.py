@@ -56,30 +56,26 @@ def command(
 
 def _echo(robot: str) -> None:
     """Answer as the estimator of `robot` with the least that can answer, until SIGTERM."""
-    from contextlib import suppress
-
     from replay.round_trip import echo
-    from service.stopping import terminate_as_interrupt
+    from service.stopping import end_at_once
 
-    terminate_as_interrupt()
-    with suppress(KeyboardInterrupt):
-        echo(robot)
+    end_at_once(0)
+    echo(robot)
 
 
 def _estimator(robot: str) -> None:
     """`deltatwin estimate` with the demo robot under the name `robot`, until SIGTERM."""
-    import tempfile
+    import os
 
     from replay.demo import ROBOT
     from schemas.robot import load_robot, save_robot
     from service.cli.estimate import command as estimate
-    from service.stopping import terminate_as_interrupt
+    from service.stopping import end_at_once
 
-    terminate_as_interrupt()
-    with tempfile.TemporaryDirectory() as folder:
-        description = Path(folder) / "robot.toml"
-        save_robot(load_robot(ROBOT).model_copy(update={"name": robot}), description)
-        estimate(robot=description)
+    end_at_once(0)
+    description = Path(os.environ["XDG_RUNTIME_DIR"]) / "robot.toml"  # which goes with the run
+    save_robot(load_robot(ROBOT).model_copy(update={"name": robot}), description)
+    estimate(robot=description)
 
 
 def _steps(robot, samples: np.ndarray) -> np.ndarray:
