@@ -189,7 +189,7 @@ def rollout(rng: np.random.Generator, path: Path) -> RolloutDocument:
             "regimes": [{"joint": 1, "regime": name, "windows": 9, "joint_mrad": every} for name in REGIMES],
         }
     )  # fmt: skip
-    write_rollout(document, path)
+    write_rollout(document, path, {})
     return document
 
 

@@ -99,7 +99,7 @@ def rollout(path: Path) -> None:
         over_identified=[4.0, None, 1.0], times_s=times, robots=robots, floor=floor, regimes=regimes,
         servo=Servo(position_gain_ps=three, velocity_gain_nms=three),
     )  # fmt: skip
-    write_rollout(document, path)
+    write_rollout(document, path, {})
     text = path.read_text(encoding="utf-8")
     assert "driven by the recorded position commands alone" in text
     assert "<td>1, 2, 3</td>" in text
