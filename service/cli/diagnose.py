@@ -9,7 +9,7 @@ import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import console, say_headline
-from service.cli.reading import reading
+from service.cli.reading import files_in, reading
 
 
 def command(
@@ -57,7 +57,7 @@ def command(
     """
     from schemas.axes_description import load_description, save_description
     from schemas.errors import DataError
-    from schemas.files import make_folder, write_text
+    from schemas.files import check_apart, make_folder, write_text
     from service.diagnosis.documents.document import corrected, document, frequency_response, made_from
     from service.diagnosis.documents.headline import headline
     from service.diagnosis.documents.online_text import noted
@@ -77,6 +77,7 @@ def command(
     make_folder(out)
     known = catalogue(effects)
     description = load_description(robot, effects)
+    check_apart(out / "corrected.toml", *description.sources, *([baseline] if baseline else []), *files_in(columns))
     reference = load_description(baseline, effects) if baseline else None
     recorded = list(reading(traces, description, columns, "reading"))
     tests = list(reading(test or [], description, columns, "reading"))

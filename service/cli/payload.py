@@ -10,7 +10,7 @@ import typer
 from schemas.words import counted, percent
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import Table, as_json, conclude, console, table
-from service.cli.reading import prediction_files, reading
+from service.cli.reading import files_in, prediction_files, reading
 
 if TYPE_CHECKING:
     from service.identification.weighed_picks import CommonError, MassLevel, PayloadHistory, Score
@@ -70,7 +70,8 @@ def command(
     if frame is not None:
         raise DataError(f"--frame {frame}: a Delta robot has its load on the platform")
     names = [f"{path.name.split('.')[0]}.csv" for path in traces]
-    targets = prediction_files(predictions, names, traces, robot, *(truth or [])) if predictions else []
+    read = [*described.sources, *files_in(columns), *(truth or [])]
+    targets = prediction_files(predictions, names, traces, *read) if predictions else []
     screen = console()
     scores: list[Score] = []
     seen: dict[str, list[MassLevel]] = {}

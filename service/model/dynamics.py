@@ -75,5 +75,5 @@ def torque_terms(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, th
     batch = rows(theta)
     terms = np.empty((len(batch), len(TERMS), 3))
     status, row = _terms_batch(record_of(model), batch, rows(theta_dot), rows(theta_ddot), terms)
-    raise_pose(status, row, batch[row], "rad")
+    raise_pose(status, row, batch, "rad")
     return terms.reshape(*np.shape(theta)[:-1], len(TERMS), 3)

@@ -101,5 +101,5 @@ def forward_dynamics(
         mass,
         acceleration,
     )
-    raise_pose(status, row, batch[row], "rad")
+    raise_pose(status, row, batch, "rad")
     return acceleration, mass

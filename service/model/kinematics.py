@@ -209,8 +209,8 @@ def rows(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.atleast_2d(np.asarray(values, float)))
 
 
-def raise_pose(status: int, row: int, pose: np.ndarray, unit: str) -> None:
-    """Turn a kernel's status into an error that names the pose.
+def raise_pose(status: int, row: int, batch: np.ndarray, unit: str) -> None:
+    """Turn a kernel's status into an error that names the pose. batch: (N, 3), whose `row` it is of; N may be 0.
 
     Raises:
         PoseError: status is not REACHED.
@@ -218,7 +218,7 @@ def raise_pose(status: int, row: int, pose: np.ndarray, unit: str) -> None:
     if status == REACHED:
         return
     what = "unreachable" if status == UNREACHABLE else "singular"
-    values = ", ".join(f"{value:.6g}" for value in pose)
+    values = ", ".join(f"{value:.6g}" for value in batch[row])
     raise PoseError(f"{what} pose ({values}) {unit} in row {row}")
 
 
@@ -227,7 +227,7 @@ def _poses(model: DeltaModel, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray
     batch = rows(theta)
     position, column, lever = np.empty_like(batch), np.empty((len(batch), 3, 3)), np.empty_like(batch)
     status, row = _forward_batch(record_of(model), batch, position, column, lever)
-    raise_pose(status, row, batch[row], "rad")
+    raise_pose(status, row, batch, "rad")
     return position, column, lever
 
 
@@ -250,7 +250,7 @@ def inverse(model: DeltaModel, position: np.ndarray) -> np.ndarray:
     batch = rows(position)
     theta = np.empty_like(batch)
     status, row = _inverse_batch(record_of(model), batch, theta)
-    raise_pose(status, row, batch[row], "m")
+    raise_pose(status, row, batch, "m")
     return theta.reshape(np.shape(position))
 
 
@@ -276,7 +276,7 @@ def motion(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_dd
     status, row = _motion_batch(
         record_of(model), batch, rows(theta_dot), rows(theta_ddot), position, velocity, acceleration
     )
-    raise_pose(status, row, batch[row], "rad")
+    raise_pose(status, row, batch, "rad")
     shape = np.shape(theta)
     return PlatformMotion(position.reshape(shape), velocity.reshape(shape), acceleration.reshape(shape))
 
@@ -300,7 +300,7 @@ def inverse_motion(model: DeltaModel, platform: PlatformMotion) -> tuple[np.ndar
     lever = np.einsum("nia,nia->ni", forearm, slope)
     stretched = np.flatnonzero((np.abs(lever) < SINGULAR_STRETCH * l1 * model.passive_length).any(axis=1))
     if len(stretched):
-        raise_pose(SINGULAR, int(stretched[0]), theta[stretched[0]], "rad")
+        raise_pose(SINGULAR, int(stretched[0]), theta, "rad")
     theta_dot = np.einsum("nia,na->ni", forearm, velocity) / lever
     swing = velocity[:, None, :] - slope * theta_dot[..., None]
     theta_ddot = (

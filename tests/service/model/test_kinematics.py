@@ -88,6 +88,13 @@ def test_one_sample_and_the_batch_give_the_same_bits(model, poses):
     assert all((kinematics.forward(model, pose) == row).all() for pose, row in zip(poses[:50], batch[:50], strict=True))
 
 
+def test_of_no_pose_there_is_nothing_and_no_error(model):
+    none = np.zeros((0, 3))
+    assert kinematics.forward(model, none).shape == (0, 3)
+    assert kinematics.inverse(model, none).shape == (0, 3)
+    assert kinematics.jacobian(model, none).shape == (0, 3, 3)
+
+
 def test_unreachable_and_singular_poses_are_errors_with_the_pose(model):
     with pytest.raises(PoseError, match=r"unreachable pose \(3, 0, 0.5\) rad in row 1"):
         kinematics.forward(model, np.array([[0.1, 0.1, 0.1], [3.0, 0.0, 0.5]]))
