@@ -251,12 +251,13 @@ def test_no_result_takes_the_place_of_what_a_description_names(
     assert before.items() <= {path: path.read_bytes() for path in tmp_path.rglob("*.*")}.items()
 
 
-@pytest.mark.parametrize("out", [".", "/"])
+@pytest.mark.parametrize("out", [".", "sub"])
 @pytest.mark.parametrize(
     "command", ["export small.toml --to mjcf", "export d3-1200 --to mjcf", "identify log.csv --robot d3-1200"]
 )
 def test_a_folder_is_no_file(deltatwin: Run, tmp_path: Path, log: Path, command: str, out: str) -> None:
     arm.write(tmp_path)
+    (tmp_path / "sub").mkdir()
     done = deltatwin(*command.split(), "--out", out)
     assert (done.returncode, done.stderr) == (1, f"deltatwin: {out}: exists and is not a file\n")
 
