@@ -160,7 +160,7 @@ def test_what_does_not_fit_is_one_line(emps: Diagnosed, data: Path, tmp_path: Pa
     for arguments, error, words in (
         (["evaluate", emps.log, "--robot", emps.robot], DataError, "no .identified."),
         (["evaluate", log, "--robot", emps.out / "corrected.toml"], TraceError, "3 joints, emps is described with 1"),
-        (["inspect", log, "--robot", two], None, "3 axes, emps is described with 2"),
+        (["inspect", log, "--robot", two], None, "3 joints, emps is described with 2"),
         (["evaluate", log, "--robot", tmp_path / "none.toml"], RobotError, "No such file"),
         (
             ["diagnose", emps.log, "--robot", emps.robot, "--out", tmp_path, "--baseline", delta / "robot.toml"],
