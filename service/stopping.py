@@ -107,12 +107,20 @@ def broke(error: BaseException) -> bool:
     if _Interrupt.swallowed or KeyboardInterrupt.__name__ in str(error):  # compiled code tells of it in words alone
         return True
     # or not even so: a library's own C code puts another error in its place while it is imported
-    if isinstance(error, ImportError) and time.monotonic() - _Interrupt.raised_s < SAME_WISH_S:
+    if _while_imported(error) and time.monotonic() - _Interrupt.raised_s < SAME_WISH_S:
         return True
     cause: BaseException | None = error
     while cause is not None and not isinstance(cause, KeyboardInterrupt):
         cause = cause.__cause__ or (cause.__context__ if isinstance(cause, ImportError) else None)
     return cause is not None
+
+
+def _while_imported(error: BaseException) -> bool:
+    """Whether it came while a module's own lines were run."""
+    from traceback import walk_tb  # here: until this file is loaded nobody hears a signal
+
+    frames = (frame for frame, _ in walk_tb(error.__traceback__))
+    return isinstance(error, ImportError) or any(frame.f_code.co_name == "<module>" for frame in frames)
 
 
 def interrupted() -> bool:

@@ -174,7 +174,16 @@ def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
     except KeyboardInterrupt:
         pass
     raise ImportError("numba._devicearray failed to import")"""
-    for left_behind in (compiler, loading, building, naming, replacing):
+    library = """
+try:
+    os.kill(os.getpid(), signal.SIGHUP) or time.sleep(5)
+except KeyboardInterrupt:
+    pass
+raise TypeError('expected a message argument')
+"""
+    imported = f"""
+    exec(compile({library!r}, "library.py", "exec"))"""
+    for left_behind in (compiler, loading, building, naming, replacing, imported):
         done = run(AS_MAIN.format(left_behind))
         assert (done.returncode, done.stderr) == (130, "")
     done = run(AS_MAIN.format("raise RuntimeError('of its own')"))
