@@ -73,19 +73,19 @@ def tokens(name: str) -> list[str]:
     return [token.lower() for token in _TOKEN.findall(name)]
 
 
-def unit_texts(name: str, told: str = "") -> list[str]:
-    """What may be a column's unit: what the file tells, else what stands between brackets in its name, the last
+def unit_texts(name: str, stated: str = "") -> list[str]:
+    """What may be a column's unit: what the file states, else what stands between brackets in its name, the last
     first."""
-    told = told.strip()
-    return [told] if told else re.findall(r"[\[(]([^\])]+)[\])]", name)[::-1]
+    stated = stated.strip()
+    return [stated] if stated else re.findall(r"[\[(]([^\])]+)[\])]", name)[::-1]
 
 
-def said_unit(name: str, told: str, known: Mapping[str, str]) -> str | None:
-    """The unit of `known` that the file tells of a column, or else the column's name.
+def said_unit(name: str, stated: str, known: Mapping[str, str]) -> str | None:
+    """The unit of `known` that the file states of a column, or else the column's name.
 
     Example: said_unit("pos_deg", "", POSITION_UNITS) == "deg"
     """
-    texts = unit_texts(name, told)
+    texts = unit_texts(name, stated)
     found = next((unit for text in texts if (unit := unit_of(text, known))), None)
     if found or any(map(is_unit, texts)):
         return found
@@ -96,7 +96,7 @@ def said_unit(name: str, told: str, known: Mapping[str, str]) -> str | None:
     return None
 
 
-def unknown_unit(name: str, told: str) -> str | None:
-    """What the file tells as a unit, or a name between square brackets, that is the unit of nothing that is known."""
-    texts = [told] if told else re.findall(r"\[([^\]]+)\]", name)
+def unknown_unit(name: str, stated: str) -> str | None:
+    """What the file states as a unit, or a name between square brackets, that is the unit of nothing that is known."""
+    texts = [stated] if stated else re.findall(r"\[([^\]]+)\]", name)
     return next((t for t in texts if re.search(r"[^\W\d_]", t) and not is_unit(t) and t != "datetime"), None)

@@ -98,8 +98,8 @@ def _is_codesys(path: Path) -> bool:
 def _foreign(path: Path, robot: Description | None, columns: Columns) -> Trace:
     from drivers.data_frames import pl
     from drivers.trace.from_columns import assemble, plan
+    from drivers.trace.stated_units import contradictions
     from drivers.trace.tables import joined, read_table
-    from drivers.trace.told_units import contradictions
 
     layout = columns.model_dump(include=LAYOUT, exclude_defaults=True)
     tables = [read_table(path, layout or None), *(read_table(path.parent / name) for name in columns.beside)]
@@ -109,8 +109,8 @@ def _foreign(path: Path, robot: Description | None, columns: Columns) -> Trace:
     table = joined(tables, clocks)
     wanted = plan(list(table.columns), columns, path)
     frame = pl.DataFrame({str(index): values for index, values in enumerate(table.columns.values())})
-    told = {index: table.units.get(name, "") for index, name in enumerate(table.columns)}
-    notes = contradictions(wanted, columns, told)
+    stated = {index: table.units.get(name, "") for index, name in enumerate(table.columns)}
+    notes = contradictions(wanted, columns, stated)
     return assemble(frame, wanted, columns, robot, path, notes, table.epoch_ns, "row")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from drivers.data_frames import pl
 from drivers.trace.from_columns import Plan, assemble, plan
 from drivers.trace.quality import EXACT_SECONDS
-from drivers.trace.told_units import contradictions
+from drivers.trace.stated_units import contradictions
 from schemas.axes_description import Description
 from schemas.columns import CHANNELS, FILETIME_S, MAX_COLUMNS, TIME_UNITS, Columns
 from schemas.errors import TraceError

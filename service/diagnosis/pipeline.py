@@ -32,7 +32,7 @@ from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import WITHIN_NOISE, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.angle_unit import refuse_wrong_angles
-from service.identification.checks import SUSPECT, best_reading, refuse_misread
+from service.identification.checks import SUSPECT, refuse_misread
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
@@ -231,10 +231,9 @@ def _refuse_misread(robot: Description, traces: Sequence[Trace], recordings: Seq
     for recording in recordings:
         of_log.setdefault(traces[recording.trace].path.name, []).append(recording)
     if (delta := recordings[0].mechanism.platform) is not None:
-        gear, grams = robot.gear_ratios[0], {name: products(delta.model, parts) for name, parts in of_log.items()}
+        grams = {name: products(delta.model, parts) for name, parts in of_log.items()}
         # what leaves more, whatever the reading, has a wrong base model: gravity from another side, say
-        told = {name: gram for name, gram in grams.items() if best_reading(gram.sum(axis=0), gear).share < SUSPECT}
-        refuse_misread(told, gear)
+        refuse_misread(grams, robot.gear_ratios[0], SUSPECT)
 
 
 def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]:

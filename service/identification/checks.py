@@ -48,9 +48,11 @@ STEADY = 0.7  # mean over rms of a log's masses: friction errors ask for weight 
 TAKEN = 0.5
 ALIKE = 0.999  # cosine between the information of two trajectories
 
-_ORDERS = tuple(permutations(range(3)))
-_SIGNS = tuple(product((1.0, -1.0), repeat=3))
-_AS_GIVEN = _ORDERS[0], _SIGNS[0], 1.0
+LEAST_TIMES = 2.0  # what is nearer to one than this may be a load or a warm gear as well as a unit or a gear ratio
+
+ORDERS = tuple(permutations(range(3)))
+SIGNS = tuple(product((1.0, -1.0), repeat=3))
+_AS_GIVEN = ORDERS[0], SIGNS[0], 1.0
 
 
 def check(logs: Sequence[NormalEquations], gear_ratio: float) -> None:
@@ -63,14 +65,15 @@ def check(logs: Sequence[NormalEquations], gear_ratio: float) -> None:
     refuse_misread({log.name: log.gram for log in logs}, gear_ratio)
 
 
-def refuse_misread(grams: Mapping[str, np.ndarray], gear_ratio: float) -> None:
+def refuse_misread(grams: Mapping[str, np.ndarray], gear_ratio: float, most: float = np.inf) -> None:
     """Refuse logs whose torque fits much better in another order, with another sign or on the other side of the gear.
-    grams: (B, 3, COLUMNS, COLUMNS) by the name of the log, see `NormalEquations`.
+    grams: (B, 3, COLUMNS, COLUMNS) by the name of the log, see `NormalEquations`. most: share of the torque's rms that
+    the other reading may leave.
 
     Raises:
         DataError: naming the logs, the joints and what is wrong with them.
     """
-    readings = {name: _reading(gram.sum(axis=0), gear_ratio) for name, gram in grams.items()}
+    readings = {name: _reading(gram.sum(axis=0), gear_ratio, most) for name, gram in grams.items()}
     wrong = {name: reading for name, reading in readings.items() if reading}
     if wrong:
         first = next(iter(wrong.values()))
@@ -103,13 +106,13 @@ def best_reading(gram: np.ndarray, gear_ratio: float, free_scale: bool = False) 
     free_scale: the torque's unit is not known; its scale comes from the platform's mass.
     """
     if free_scale:
-        options = [_scaled(gram, order, signs) for order, signs in product(_ORDERS, _SIGNS)]
+        options = [_scaled(gram, order, signs) for order, signs in product(ORDERS, SIGNS)]
         return min(options)
     given = TorqueReading(_left(gram, *_AS_GIVEN), *_AS_GIVEN)
     if given.share < SUSPECT:
         return given
-    scales = (1.0, gear_ratio) if gear_ratio > 2.0 else (1.0,)
-    best = min(TorqueReading(_left(gram, *option), *option) for option in product(_ORDERS, _SIGNS, scales))
+    scales = (1.0, gear_ratio) if gear_ratio > LEAST_TIMES else (1.0,)
+    best = min(TorqueReading(_left(gram, *option), *option) for option in product(ORDERS, SIGNS, scales))
     return best if best.share <= BETTER * given.share else given
 
 
@@ -135,19 +138,24 @@ def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> T
     return TorqueReading(float(share), order, signs, 1.0 / float(values[-1]))
 
 
-def _reading(gram: np.ndarray, gear_ratio: float) -> str:
-    """How else the torque of one log makes sense, "" if it does as it is. gram: (3, COLUMNS, COLUMNS)."""
+def misread(order: Sequence[int], signs: Sequence[float]) -> list[str]:
+    """What is wrong with torques that have to be read in another order, or with other signs."""
+    faults = []
+    if swapped := named_joints([joint + 1 for joint in range(3) if order[joint] != joint]):
+        faults.append(f"the torques of {swapped} are swapped")
+    if turned := named_joints([joint + 1 for joint in range(3) if signs[joint] < 0]):
+        faults.append(f"the torque of {turned} has the wrong sign")
+    return faults
+
+
+def _reading(gram: np.ndarray, gear_ratio: float, most: float = np.inf) -> str:
+    """How else the torque of one log makes sense, "" if it does as it is, or leaves more than `most` of it. gram: (3,
+    COLUMNS, COLUMNS)."""
     given = _left(gram, *_AS_GIVEN)
     best, order, signs, scale = best_reading(gram, gear_ratio)
-    if best == given:
+    if best == given or best > most:
         return ""
-    faults = []
-    swapped = [joint + 1 for joint in range(3) if order[joint] != joint]
-    turned = [joint + 1 for joint in range(3) if signs[joint] < 0]
-    if swapped:
-        faults.append(f"the torques of {named_joints(swapped)} are swapped")
-    if turned:
-        faults.append(f"the torque of {named_joints(turned)} has the wrong sign")
+    faults = misread(order, signs)
     if scale != 1.0:
         faults.append(f"the torque is not multiplied by the gear ratio {gear_ratio:g}")
     shares = f"as given the model leaves {100 * given:.0f} % of it unexplained, corrected {100 * best:.1f} %"

@@ -1,46 +1,54 @@
 """Whether a log's torque is that of the robot that a description has identified: refused where it is not.
 
-A fit cannot tell a log in another unit from another robot, as its masses are free; a model that is known can.
+A fit cannot separate a log in another unit from another robot, as its masses are free; an identified model can.
 """
 
 from __future__ import annotations
 
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 
-from schemas.diagnosis import named_joints
 from schemas.errors import DataError
 from schemas.robot import Robot
 from schemas.trace import Trace
 from schemas.units import SHARES, TORQUE_SCALES
 from schemas.words import percent
-from service.identification.checks import BETTER, HOPELESS, SUSPECT
+from service.identification.checks import (
+    BETTER,
+    HOPELESS,
+    LEAST_TIMES,
+    ORDERS,
+    SIGNS,
+    SUSPECT,
+    misread,
+)
+from service.identification.folds import BLOCK
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
-from service.model.prediction import FULL, error_in_band, motion, predict_along
-
-CONSTANT = 0.5  # s, over which a payload is taken for one
-LEAST_TIMES = 2.0  # what is nearer to one than this may be a load or a warm gear as well as a unit
-_SIGNS = tuple(product((1.0, -1.0), repeat=3))
-_ORDERS = tuple(permutations(range(3)))
+from service.model.prediction import Motion, error_in_band
 
 
-def refuse_unlike(robot: Robot, trace: Trace) -> None:
+def refuse_unlike(robot: Robot, trace: Trace, along: Motion, model: np.ndarray) -> None:
     """See that `trace` has the torque that `robot`, with any payload that it may carry, needs for its motion.
 
+    Args:
+        robot: As identified.
+        trace: The log.
+        along: Its smoothed motion.
+        model: (N, 3) N m that the robot needs for that without a payload, by its fullest model.
+
     Raises:
-        TraceError: the trace cannot be used, naming the file.
         DataError: its torque fits in another order, with another sign or in another unit, or not at all.
     """
-    grams = _grams(robot, trace)
+    grams = _grams(robot, trace, along, model)
     if not len(grams):
         return
     most = robot.limits.max_payload_kg
-    given = _left(grams, (0, 1, 2), (1.0, 1.0, 1.0), 1.0, most)
+    given = _left(grams, ORDERS[0], SIGNS[0], 1.0, most)
     if given < SUSPECT:
         return
-    options = product(_ORDERS, _SIGNS, (1.0, *_scales(robot.drive.gear_ratio)))
+    options = product(ORDERS, SIGNS, (1.0, *_scales(robot.drive.gear_ratio)))
     best, order, signs, scale = min((_left(grams, *option, most), *option) for option in options)
     if best <= BETTER * given:
         faults = _faults(order, signs, scale)
@@ -58,16 +66,14 @@ def _scales(gear_ratio: float) -> list[float]:
     return sorted({one for time in times for one in (time, 1 / time) if max(one, 1 / one) >= LEAST_TIMES})
 
 
-def _grams(robot: Robot, trace: Trace) -> np.ndarray:
+def _grams(robot: Robot, trace: Trace, along: Motion, model: np.ndarray) -> np.ndarray:
     """(W, 3, 5, 5) products of the three torques with what joint j needs without a payload and for a kilogram, over
-    windows of `CONSTANT` in which all joints move."""
-    along = motion(trace)
-    model = predict_along(robot, trace, along)[FULL]
+    windows of `BLOCK` in which all joints move, over which a payload is taken for one."""
     per_kg = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD]
     torque = error_in_band(trace, along, np.zeros_like(model))
     needed, load = (torque - error_in_band(trace, along, values) for values in (model, per_kg))
     rows = np.flatnonzero(np.isfinite(torque + needed + load).all(axis=1))
-    windows = np.array_split(rows, max(1, round(len(rows) * trace.period / CONSTANT))) if len(rows) else []
+    windows = np.array_split(rows, max(1, round(len(rows) * trace.period / BLOCK))) if len(rows) else []
     columns = np.stack([np.column_stack([torque, needed[:, j], load[:, j]]) for j in range(3)])
     return np.array([np.einsum("jni,jnk->jik", columns[:, mine], columns[:, mine]) for mine in windows])
 
@@ -92,11 +98,7 @@ def _left(
 
 
 def _faults(order: tuple[int, ...], signs: tuple[float, ...], scale: float) -> str:
-    faults = []
-    if swapped := named_joints([joint + 1 for joint in range(3) if order[joint] != joint]):
-        faults.append(f"the torques of {swapped} are swapped")
-    if turned := named_joints([joint + 1 for joint in range(3) if signs[joint] < 0]):
-        faults.append(f"the torque of {turned} has the wrong sign")
+    faults = misread(order, signs)
     if scale != 1.0:
         faults.append(f"the torque is {1 / scale:.3g} times what it should be: wrong unit, or side of the gear")
     return " and ".join(faults)

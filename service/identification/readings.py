@@ -602,14 +602,14 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
         (reasons if fits else doubts).append(f"torques are assumed to be N m: the file does not say{why}")
     elif side is not None and fit.share < SUSPECT and not fits:
         doubts.append(
-            f"read as {_told(torque)}, the torques are {side / fit.by_masses:.3g} times those that the masses need: is "
-            "the gear ratio, the unit or rated torque, or a mass wrong?"
+            f"read as {_unit_in_words(torque)}, the torques are {side / fit.by_masses:.3g} times those that the masses "
+            "need: is the gear ratio, the unit or rated torque, or a mass wrong?"
         )
     signs = [int(sign) for sign in reads.signs]
     return Reading(reading.position, torque, fit.left, fit.signs, signs, reasons, doubts, Lines(of_torque))
 
 
-def _told(torque: Mapping[str, Any]) -> str:
+def _unit_in_words(torque: Mapping[str, Any]) -> str:
     """The unit of torques in words, with what one of it stands for."""
     if (rated := torque.get("rated")) is not None:
         return f"{torque['unit']} of {rated:g} N m"

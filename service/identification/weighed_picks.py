@@ -23,7 +23,7 @@ from service.estimator.recursion import FORGETTING, fixed_forgetting
 from service.identification.known_torque import refuse_unlike
 from service.model import kinematics
 from service.model.nominal import pack
-from service.model.prediction import Motion, motion, predict_along
+from service.model.prediction import FULL, Motion, motion, predict_along
 from service.model.signals import moving
 
 BEFORE_SEEN = 0.25  # s of motion before an event is seen in which what it is about may have happened
@@ -155,9 +155,9 @@ def payload_history(robot: Robot, trace: Trace) -> PayloadHistory:
         TraceError, DataError: as `weighed`, and `refuse_unlike`.
     """
     found, along = weighed(robot, trace), motion(trace)
-    refuse_unlike(robot, trace)
-    torque = predict_along(robot, trace, along)["M_Id+F"]
-    return PayloadHistory(**vars(found), recursion=recursion(robot, trace, along, torque))
+    torque = predict_along(robot, trace, along)
+    refuse_unlike(robot, trace, along, torque[FULL])
+    return PayloadHistory(**vars(found), recursion=recursion(robot, trace, along, torque["M_Id+F"]))
 
 
 def carried(robot: Robot, trace: Trace) -> np.ndarray:

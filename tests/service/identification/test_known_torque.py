@@ -14,6 +14,9 @@ from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
 from service.identification.known_torque import refuse_unlike
 from service.identification.weighed_picks import payload_history
+from service.model.dynamics import PAYLOAD, torque_terms
+from service.model.nominal import pack
+from service.model.prediction import FULL, motion, predict_along
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +29,13 @@ def log(robot: Robot) -> Trace:
     return read_trace(LOG, robot)
 
 
+def see(robot: Robot, trace: Trace) -> None:
+    along = motion(trace)
+    refuse_unlike(robot, trace, along, predict_along(robot, trace, along)[FULL])
+
+
 def test_a_log_with_picks_of_the_robot_is_its_own(robot: Robot, log: Trace) -> None:
-    refuse_unlike(robot, log)
+    see(robot, log)
 
 
 @pytest.mark.parametrize(
@@ -59,10 +67,6 @@ def test_so_is_a_log_of_another_machine(robot: Robot, log: Trace) -> None:
 
 @pytest.mark.parametrize("mass", [0.5, 3.0, 6.0])
 def test_a_payload_all_through_is_none_of_this(robot: Robot, log: Trace, mass: float) -> None:
-    from service.model.dynamics import PAYLOAD, torque_terms
-    from service.model.nominal import pack
-    from service.model.prediction import motion
-
     along = motion(log)
     load = mass * torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD]
-    refuse_unlike(robot, replace(log, torque=log.torque + load))
+    see(robot, replace(log, torque=log.torque + load))

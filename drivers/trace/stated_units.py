@@ -12,10 +12,10 @@ from schemas.units import CLOCK_UNITS, POSITION_UNITS, TORQUE_UNITS, is_unit, sa
 NOT_COUNTED = ("datetime", "filetime")  # stamps that tell by themselves what they are
 
 
-def contradictions(wanted: Plan, columns: Columns, told: Mapping[int, str]) -> list[Finding]:
+def contradictions(wanted: Plan, columns: Columns, stated: Mapping[int, str]) -> list[Finding]:
     """A note for each unit of `columns` that the file, or a column's name, gives otherwise.
 
-    told: units that the file gives, by the index of the column.
+    stated: units that the file gives, by the index of the column.
 
     Example: a mapping with `unit = "deg"` for a column under which the file says `rad`.
     """
@@ -25,12 +25,12 @@ def contradictions(wanted: Plan, columns: Columns, told: Mapping[int, str]) -> l
         if isinstance(column, GripperColumn) or channel.times_index is not None:
             continue
         known = TORQUE_UNITS if isinstance(column, TorqueColumn) else POSITION_UNITS
-        if other := _other(column.name, told.get(channel.index, ""), column.unit, known):
+        if other := _other(column.name, stated.get(channel.index, ""), column.unit, known):
             labels.setdefault((other, column.unit), []).append(channel.label)
     time = columns.time
-    told_of_time = told.get(wanted.times[0], "") if wanted.times else ""
+    stated_of_time = stated.get(wanted.times[0], "") if wanted.times else ""
     counted = wanted.times and time.unit not in NOT_COUNTED
-    if counted and (other := _other(time.name, told_of_time, time.unit, CLOCK_UNITS)):
+    if counted and (other := _other(time.name, stated_of_time, time.unit, CLOCK_UNITS)):
         labels.setdefault((other, time.unit), []).append(f"time ({time.name!r})")
     return [
         Finding.note(f"{', '.join(names)}: the file says {other!r}, the mapping {unit!r}; read as {unit}")
@@ -38,9 +38,9 @@ def contradictions(wanted: Plan, columns: Columns, told: Mapping[int, str]) -> l
     ]
 
 
-def _other(name: str, told: str, unit: str, known: Mapping[str, str]) -> str | None:
+def _other(name: str, stated: str, unit: str, known: Mapping[str, str]) -> str | None:
     """The unit that the file or the name gives where that is not `unit`; None where it is, or none is given."""
-    if said := said_unit(name, told, known):
+    if said := said_unit(name, stated, known):
         return None if said == unit else said
-    of_nothing = unknown_unit(name, told) if told else None  # between brackets of a name anything may stand
-    return of_nothing or next(filter(is_unit, unit_texts(name, told)), None)
+    of_nothing = unknown_unit(name, stated) if stated else None  # between brackets of a name anything may stand
+    return of_nothing or next(filter(is_unit, unit_texts(name, stated)), None)
