@@ -76,7 +76,11 @@ def load_robot(path: str | Path, effects: str | Path | None = None) -> Descripti
         >>> dt.load_robot("d3-1200").geometry.active_link_length  # m
         0.4
     """
-    return load_description(as_path(path), None if effects is None else as_path(effects))
+    from service.model.effects import catalogue
+
+    own = None if effects is None else as_path(effects)
+    catalogue(own)  # also where the description names no effect: who gives the file means it to be used
+    return load_description(as_path(path), own)
 
 
 def load_demo() -> tuple[Robot, Trace]:

@@ -2,7 +2,7 @@
 
 Compiled kernels are cached under a digest of all sources that kernels are made of. Numba's own key is the one file a
 kernel is written in, so after a change to a function or constant that it takes from another file it would go on running
-the old one.
+the old one. By the same content they are those of any copy: a layer of a container, a fresh clone, a folder that moved.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ _HERE = Path(__file__).parent
 KERNEL_ROOMS = ("drivers", "schemas", "service/estimator", "service/model", "service/rollout")
 
 
-def _digest() -> str:
+def digest() -> str:
+    """Of all that kernels are made of."""
     sources = hashlib.sha256()
     for room in KERNEL_ROOMS:
         for path in sorted((_HERE.parent / room).rglob("*.py")):
@@ -33,7 +34,7 @@ def _digest() -> str:
 def _cache_folder() -> Path:
     """Where compiled kernels are kept: beside the sources, in the home, in a temporary folder of this user's alone (who
     can write there can have this process run anything), or else for this process only."""
-    name, home = f"kernels-{_digest()}", Path(os.path.expanduser("~"))
+    name, home = f"kernels-{DIGEST}", Path(os.path.expanduser("~"))
     for place in (_HERE / "__pycache__", home / ".cache" / "deltatwin"):
         folder = place / name
         with suppress(OSError):
@@ -59,6 +60,7 @@ def _cache_folder() -> Path:
     return folder
 
 
+DIGEST = digest()
 if not os.environ.get("NUMBA_CACHE_DIR"):
     _folder = str(_cache_folder())
     os.environ["NUMBA_CACHE_DIR"] = _folder  # Numba reads it when it is imported

@@ -14,15 +14,17 @@ import pickle
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
-from schemas.kernel_cache import kept_in  # noqa: F401 - before Numba, which reads the place then
+from schemas.kernel_cache import DIGEST, KERNEL_ROOMS, kept_in  # before Numba, which reads the place then
 
 from numba import njit  # isort: skip
 from numba.core import event, types  # isort: skip
 from numba.core.caching import IndexDataCacheFile  # isort: skip
 from numba.core.registry import CPUDispatcher  # isort: skip
 
+_ROOT = Path(__file__).parents[1]
 _SUM = hashlib.sha256().digest_size
 _said: set[str] = set()
 
@@ -45,17 +47,23 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any], ending: str
     """ending: of the name under which it is kept."""
     flags: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True} | options
     compiled = njit(**flags)(function)
-    kept = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    cache = getattr(compiled, "_cache", None)
+    kept = getattr(cache, "_cache_file", None)
     if isinstance(kept, IndexDataCacheFile):
-        _keep_whole(kept, ending)
+        _keep_whole(kept, ending, cache._impl.locator, Path(function.__code__.co_filename))
     return compiled
 
 
-def _keep_whole(kept: Any, ending: str) -> None:
-    """Give Numba's files of one kernel their checksum, and `ending` behind their names."""
-    stem = kept._index_name.removesuffix(".nbi")
+def _keep_whole(kept: Any, ending: str, locator: Any, source: Path) -> None:
+    """Give Numba's files of one kernel their checksum, and `ending` behind their names. Ours are known by the digest of
+    all sources, so that they hold wherever these lie and whenever they were written; what a user's own file compiles
+    goes by that file, as with Numba."""
+    stem, stamp = kept._index_name.removesuffix(".nbi"), kept._source_stamp
+    if any(source.is_relative_to(_ROOT / room) for room in KERNEL_ROOMS):
+        stamp = DIGEST
+        locator._cache_path = str(kept_in().joinpath(*source.relative_to(_ROOT).parent.parts))
     kept.__class__ = _Kept
-    kept.__init__(kept._cache_path, stem + ending, kept._source_stamp)
+    kept.__init__(locator.get_cache_path(), stem + ending, stamp)
 
 
 class _Kernel(CPUDispatcher):

@@ -39,8 +39,14 @@ BY_RIGHTS = (
     "tests/service/pages", "tests/test_wheel.py",
 )  # fmt: skip
 
-# What the quick set does without: see there.
-SLOW = tuple(line for line in Path(__file__).with_name("slow.txt").read_text("utf-8").splitlines() if line[0] != "#")
+
+def _listed(name: str) -> tuple[str, ...]:
+    lines = Path(__file__).with_name(name).read_text("utf-8").splitlines()
+    return tuple(line for line in lines if line[0] != "#")
+
+
+# What the quick set does without, and what of that CI runs once a week: see there.
+SLOW, WEEKLY = _listed("slow.txt"), _listed("weekly.txt")
 
 
 class _Held:
@@ -80,8 +86,8 @@ def _passed_before() -> set[str]:
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """What watches the clock and failed while this machine was not let run has shown nothing: it is run again, twice at
-    most, and listed as such. What `SLOW` names is marked so. Of what passed before, what rights or a clock make another
-    test is asked again."""
+    most, and listed as such. What `SLOW` and `WEEKLY` name is marked so. Of what passed before, what rights or a clock
+    make another test is asked again."""
     again = pytest.mark.flaky(reruns=2, condition=_Held.during_test)
     passed, kept, left_out = _passed_before(), [], []
     for item in items:
@@ -96,6 +102,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(again)
         if item.nodeid.startswith(SLOW):
             item.add_marker(pytest.mark.slow)
+        if item.nodeid.startswith(WEEKLY):
+            item.add_marker(pytest.mark.weekly)
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:

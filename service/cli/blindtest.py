@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.options import AsJson, Backend, Jobs, OnBackend, Scheduler
+from service.cli.options import AsJson, Backend, Jobs, OnBackend, Scheduler, refuse
 from service.cli.output import as_json, console, say_headline, table
 
 
@@ -24,6 +24,7 @@ class Family(StrEnum):
 
 
 def command(
+    context: typer.Context,
     out: Annotated[
         Path, typer.Option(help="Folder for cases, key, answers and blindtest.html; an interrupted test continues")
     ],
@@ -62,6 +63,8 @@ def command(
     from service.diagnosis.sealed_page import BOUNDS, headline, missed, write_page
     from service.diagnosis.workers import backend as workers
 
+    if backend is not Backend.DASK:
+        refuse(context, "scheduler", only="--backend dask")
     if (out / "results.json").exists():
         raise StorageError(f"{out}: holds a finished blind test")
     make_folder(out)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import OwnEffects
+from service.cli.options import OwnEffects, refuse
 
 if TYPE_CHECKING:
     from schemas.robot import Robot
@@ -91,9 +91,8 @@ def command(
     from service.cli.machine_files import beside_of, write_machine
 
     for option, formats in ONLY_FOR.items():
-        source = context.get_parameter_source(option)
-        if source is not None and source.name == "COMMANDLINE" and to not in formats:
-            raise typer.BadParameter(f"--{option}: only for --to {' or '.join(formats)}, not for {to.value}")
+        if to not in formats:
+            refuse(context, option, only=f"--to {' or '.join(formats)}, not for {to.value}")
     described = load_description(robot, effects)
     if to not in (Format.c, Format.st):
         check_apart(out, *described.sources, *(log or []))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.options import AsJson, Backend, ColumnsFrom, Jobs, OnBackend, OwnEffects, Scheduler, robot_file
+from service.cli.options import AsJson, Backend, ColumnsFrom, Jobs, OnBackend, OwnEffects, Scheduler, refuse, robot_file
 from service.cli.output import Table, console, say_headline, table
 from service.cli.progress import bars
 
@@ -18,6 +18,7 @@ MOST_TOLD = 2  # figures of a change on a terminal; the page has all
 
 
 def command(
+    context: typer.Context,
     logs: Annotated[
         list[Path], typer.Argument(help="Folders of logs, or logs: .csv, .csv.gz, .mcap, .pcapng", metavar="LOGS")
     ],
@@ -44,6 +45,8 @@ def command(
     from schemas.files import make_folder, write_text
     from schemas.words import counted
 
+    if backend is not Backend.DASK:
+        refuse(context, "scheduler", only="--backend dask")
     with bars() as progress:
         task = progress.add_task("surveying the logs", total=None)
         from drivers.trace import find_columns

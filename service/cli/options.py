@@ -38,6 +38,18 @@ def _usable(effects: Path | None) -> Path | None:
     return effects
 
 
+def refuse(context: typer.Context, *options: str, only: str) -> None:
+    """options: parameters of the command. only: what they are for, and what was not asked for.
+
+    Raises:
+        BadParameter: one of them is on the command line, where it would do nothing.
+    """
+    for option in options:
+        source = context.get_parameter_source(option)
+        if source is not None and source.name == "COMMANDLINE":
+            raise typer.BadParameter(f"--{option.replace('_', '-')}: only for {only}")
+
+
 def check_length(duration: float, rate: float) -> None:
     """duration: s. rate: Hz.
 

@@ -9,7 +9,7 @@ import typer
 
 from schemas.words import percent
 from service.cli.joint_motion import simulate_joints
-from service.cli.options import Insecure, RosDomain, ZenohConfig, check_length, robot_file
+from service.cli.options import Insecure, RosDomain, ZenohConfig, check_length, refuse, robot_file
 from service.cli.output import Table, apart_from, console, in_quantiles, say_next, table
 from service.cli.progress import bars
 from service.stopping import interrupted
@@ -28,6 +28,7 @@ KINDS = ("pick", "multisine", "bound", "slow")  # of motions that `drivers.motio
 
 
 def command(
+    context: typer.Context,
     robot: Annotated[Path, robot_file(", or the name of a bundled one: d3-1200.")],
     motion: Annotated[
         str,
@@ -106,6 +107,10 @@ def command(
     if motion not in KINDS and not Path(motion).suffix:
         raise typer.BadParameter(f"{motion!r} is neither a file nor one of {', '.join(KINDS)}", param_hint="--motion")
     check_length(duration, rate)
+    if live:
+        refuse(context, "picks", only="a log that is simulated at once, not for --live")
+    else:
+        refuse(context, "loop", "zenoh_config", "insecure", "ros_domain", only="--live")
     if payload and motion != "pick":
         raise typer.BadParameter(f"only `pick` carries a payload, not `{motion}`", param_hint="--payload")
     described = load_description(robot)
@@ -116,6 +121,7 @@ def command(
             check_apart(path, *described.sources, Path(motion), *([Path(truth)] if truth else []))
     if described.answering(Question.ROUTE) is None and not live and (motion in OF_JOINTS or Path(motion).suffix):
         assert out is not None
+        refuse(context, "picks", "truth", "speed", "later", only="Delta robots")
         simulate_joints(robot, described, motion, out, duration, rate, seed, (max_speed, max_acceleration, max_torque))
         return
     description = as_delta(described, Question.CLOSED_LOOP if live else Question.ROUTE)

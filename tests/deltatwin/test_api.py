@@ -209,6 +209,7 @@ def test_what_is_no_trace_is_said(demo: tuple) -> None:
         (lambda robot, log: UNTYPED.read_trace(LOG, "d3-1200"), "'d3-1200' is not a description; read it with"),
         (lambda robot, log: UNTYPED.read_trace(7), "7: a path is needed, as a str or a Path"),
         (lambda robot, log: UNTYPED.load_robot(None), "None: a path is needed"),
+        (lambda robot, log: dt.load_robot("d3-1200", effects="none_there.py"), "none_there.py: "),
         (lambda robot, log: UNTYPED.save_robot(None, "a.toml"), "None is not a description"),
         (lambda robot, log: UNTYPED.identify("d3-1200", log), "'d3-1200' is not a description"),
         (lambda robot, log: UNTYPED.identify(robot, None), "None is not a trace"),

@@ -102,6 +102,28 @@ def ours(tmp_path, room):
     return tmp_path
 
 
+def test_kernels_hold_for_any_copy_of_the_same_sources(ours, tmp_path_factory):
+    """Wherever it lies and whenever its files were written; and for no copy of other sources."""
+    assert run(ours) == ("1", "")
+    copy = tmp_path_factory.mktemp("elsewhere") / "copy"
+    shutil.copytree(ours, copy, copy_function=shutil.copy)  # with times of their own
+    kept = {path: path.stat().st_mtime_ns for path in copy.rglob("*.nb[ic]")}
+    assert len(kept) == 4
+    assert run(copy) == ("1", "")
+    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*.nb[ic]")} == kept
+    called = copy / "service" / "model" / "called.py"
+    called.write_text(called.read_text().replace("return 1", "return 22"))
+    assert run(copy) == ("22", "")
+
+
+def test_a_file_of_the_users_own_goes_by_that_file(ours):
+    own = ours / "own.py"
+    for answer in ("7", "88"):
+        own.write_text(f"from schemas.kernels import kernel\n\n@kernel\ndef ask():\n    return {answer}\n")
+        (ours / "service" / "model" / "caller.py").write_text("from own import ask\n")
+        assert run(ours) == (answer, "")
+
+
 def cut(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 

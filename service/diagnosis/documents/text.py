@@ -139,8 +139,8 @@ ONLINE = {
     "no_online_form": "offline only: the online model does not contain it",
 }
 PLANNED = (
-    "deltatwin plan-motion --robot FILE --diagnosis FOLDER --out motion.csv plans the run that separates the candidate "
-    "effects."
+    "`deltatwin plan-motion`, given this robot and the folder of this diagnosis, plans the run that separates the "
+    "candidate effects."
 )
 # what a residual depends on -> what it is, what to check
 LOCATED = {
@@ -493,7 +493,7 @@ def _bursts(events: list[Burst], rhythm: float | None) -> str:
     many = "1 stretch is" if len(events) == 1 else f"{len(events)} stretches are"
     beat = f", most of them every {rhythm:.3g} s" if rhythm is not None else ""
     times = ", ".join(f"{e.run} {e.from_s:.2f} to {e.to_s:.2f} s" for e in events[:MOST_TOLD])
-    more = ", ..." if len(events) > MOST_TOLD else ""
+    more = f", and {len(events) - MOST_TOLD} more" if len(events) > MOST_TOLD else ""
     return f"{many} far above the rest of the residual (events){beat}; strongest first: {times}{more}."
 
 

@@ -177,3 +177,23 @@ def test_a_typing_error_is_answered_with_the_nearest_command() -> None:
     done = CliRunner().invoke(app, ["identfy"])
     assert done.exit_code == 2
     assert "Did you mean 'identify'" in done.output
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("simulate --robot {axes} --motion multisine --out {out}/a.csv --picks {out}/p.csv", "--picks: only for Delta"),
+        ("simulate --robot {axes} --motion slow --out {out}/a.csv --later warmup@1s", "--later: only for Delta robots"),
+        ("simulate --robot d3-1200 --out {out}/a.csv --loop 2", "--loop: only for --live"),
+        ("simulate --robot d3-1200 --out {out}/a.csv --ros-domain 2", "--ros-domain: only for --live"),
+        ("simulate --robot d3-1200 --live --loop 1 --picks {out}/p.csv", "--picks: only for a log that is"),
+        ("fleet {out} --out {out}/f --scheduler tcp://127.0.0.1:1", "--scheduler: only for --backend dask"),
+        ("blindtest --out {out}/b --scheduler tcp://127.0.0.1:1", "--scheduler: only for --backend dask"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_wrong_usage(tmp_path: Path, command: str, said: str) -> None:
+    axes = tmp_path / "axes.toml"
+    axes.write_text('name = "one"\nkind = "axes"\n[[axis]]\n')
+    told = CliRunner().invoke(app, command.format(out=tmp_path, axes=axes).split())
+    assert (told.exit_code, said in " ".join(told.output.split())) == (2, True), told.output
+    assert list(tmp_path.iterdir()) == [axes]

@@ -133,7 +133,7 @@ def test_what_remains_is_told_where_it_lies() -> None:
         "30 % of the residual in joint 1 follows the motion of joint 2.",
         "20 % of the residual in joint 2 follows the position error.",
         "7 stretches are far above the rest of the residual (events), most of them every 0.8 s; strongest first: "
-        + ", ".join(["b 1.25 to 1.50 s"] * 6) + ", ....",
+        + ", ".join(["b 1.25 to 1.50 s"] * 6) + ", and 1 more.",
         "The residual is largest in b (1.5 times the noise): look there first.",
     ]  # fmt: skip
 
