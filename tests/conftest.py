@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -29,9 +30,11 @@ ON_THE_CLOCK = (
     "tests/service/cli/test_demo.py", "tests/service/cli/test_replay.py",
     "tests/service/experiment/test_live_loop.py",
     "tests/service/machines/test_every_command.py::test_a_log_on_the_bus",
-    "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[ethercat",
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[first-demo",
 )  # fmt: skip
+
+# Files of few tests that take minutes each.
+LONGEST = ("tests/test_wheel.py", "tests/docs/test_tutorials.py")
 
 # What does another thing for root, or with wireshark and a browser. What skips without them is asked again anyway.
 BY_RIGHTS = (
@@ -83,6 +86,25 @@ def _passed_before() -> set[str]:
     return {f"{case.get('classname')}.{case.get('name')}" for case in cases if not len(case)}
 
 
+def _scope(nodeid: str) -> str:
+    """What goes to one worker: the tests of a file, which share what they make, and all that watch the clock."""
+    return "clock" if nodeid.startswith(ON_THE_CLOCK) else nodeid.split("::", 1)[0]
+
+
+def _longest_first(items: list[pytest.Item]) -> None:
+    """So that no worker is left alone with a long file at the end; a browser, which hangs where roles of real-time
+    priority have the processors, comes when these have gone."""
+    slow = Counter(_scope(item.nodeid) for item in items if item.get_closest_marker("slow"))
+    every = Counter(_scope(item.nodeid) for item in items)
+
+    def turn(item: pytest.Item) -> tuple[int, int, int]:
+        scope = _scope(item.nodeid)
+        early = 0 if scope == "clock" or scope in LONGEST else 2 if scope.startswith("tests/service/pages/") else 1
+        return early, -slow[scope], -every[scope]
+
+    items.sort(key=turn)
+
+
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """What watches the clock and failed while this machine was not let run has shown nothing: it is run again, twice at
@@ -104,6 +126,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.slow)
         if item.nodeid.startswith(WEEKLY):
             item.add_marker(pytest.mark.weekly)
+    if config.option.markexpr != "not slow":
+        _longest_first(items)
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:
@@ -185,13 +209,14 @@ def until() -> Callable[[Callable[[], bool]], None]:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With `-n 2`: the tests of a file, which share what they make, go to one worker, and all that watch the clock."""
+    """With `-n 2`: by `_scope`, and where slow tests are among them in the order of `_longest_first`."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return "clock" if nodeid.startswith(ON_THE_CLOCK) else nodeid.split("::", 1)[0]
+            return _scope(nodeid)
 
+    config.option.loadscopereorder = config.option.markexpr == "not slow"
     return Scheduling(config, log)
 
 

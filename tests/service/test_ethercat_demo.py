@@ -1,4 +1,4 @@
-"""The one demonstration of the whole EtherCAT chain, as its user runs it."""
+"""The one demonstration of the whole EtherCAT chain, as its user runs it: by the tutorial."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from docs.making.tutorials import TUTORIALS
+from docs.making.tutorials import run as run_tutorial
 from drivers.trace.mcap_file import write_samples
 from service.demonstration import compare
 from service.monitor.readback import read_recording
@@ -26,29 +28,31 @@ def run(*command: str, path: Path | None = None) -> subprocess.CompletedProcess[
 
 
 @pytest.fixture(scope="module")
-def demonstrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """The folder of one run, and what the run said."""
+def demonstrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of one run of the tutorial, and what the run said."""
     rig.require_namespaces()
+    if os.geteuid() != 0:
+        pytest.skip("needs root, as the tutorial says")
     if shutil.which("dumpcap") is None:
         pytest.skip("needs dumpcap (wireshark-common) to capture the wire")
-    out = tmp_path_factory.mktemp("demonstration") / "demo"
-    return out, run(*DEMO, str(out), "--rate", "500")
+    folder = tmp_path_factory.mktemp("demonstration")
+    said = run_tutorial(TUTORIALS / "ethercat.md", folder)
+    return folder / "work" / "wire", said
 
 
 @pytest.mark.timeout(600)  # a minute, several where a busy host compiles first
-def test_every_claim_holds(demonstrated: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    out, done = demonstrated
-    logs = "\n".join(f"{log.name}: {log.read_text()}" for log in sorted(out.glob("*.log")))
-    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}\n{logs}"
-    assert done.stdout.count("\nholds ") == 6
-    assert "\nfails " not in done.stdout
+@pytest.mark.flaky(reruns=1)  # live roles on a machine that does something else just then
+def test_every_claim_holds(demonstrated: tuple[Path, str]) -> None:
+    out, said = demonstrated
+    assert said.count("\nholds ") == 6
+    assert "\nfails " not in said
     names = {path.name for path in out.iterdir()}
     assert names >= {"own.mcap", "first.mcap", "second.mcap", "offline.mcap", "wire.pcapng", "identified.toml"}
 
 
 @pytest.mark.timeout(600)
 def test_a_cycle_that_differs_or_is_missing_untold_fails_its_claim(
-    demonstrated: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+    demonstrated: tuple[Path, str], tmp_path: Path
 ) -> None:
     out, _ = demonstrated
     other = tmp_path / "other"

@@ -30,7 +30,7 @@ from drivers.inbox import Inbox
 from schemas.messages import FEEDFORWARD, FeedforwardSource, HealthFlag, Role, StopReason
 from tests.drivers.ethercat import rig
 
-RATE = 1000.0
+RATE = 500.0  # Hz, what five processes on the wire keep up with beside other tests
 SOON = 0.5  # s; what is declared is 20 ms, what is said once a second would come too late, this host is loaded
 READY = 180.0  # s for a process to get ready: the first start of all compiles
 FLICKER = 1.5e-9 * CHANGE_NS  # s
@@ -418,7 +418,7 @@ def test_frames_that_are_lost(wire: Wire, running: Process, share: float) -> Non
     time.sleep(1.5)
     wire.spoil("whole")
     after = wire.heard.cleared(Role.MASTER, HealthFlag.BUS_FAULT, time.monotonic())
-    assert after["lost"] - before["lost"] > 1000 * share
+    assert after["lost"] - before["lost"] > RATE * share  # in a second and a half
     assert running.process.is_alive(), running.said
 
 
@@ -461,10 +461,11 @@ def test_frames_that_are_held_up(wire: Wire, running: Process) -> None:
     calm(wire)
     before = wire.heard.health(Role.MASTER, 0.0)[-1][1]
     since = time.monotonic()
-    wire.segment.hold(0.05)
+    held = 0.05  # s
+    wire.segment.hold(held)
     wire.heard.told(Role.MASTER, HealthFlag.BUS_FAULT, since)
     after = wire.heard.cleared(Role.MASTER, HealthFlag.BUS_FAULT, time.monotonic())
-    assert after["lost"] - before["lost"] > 20
+    assert after["lost"] - before["lost"] > 0.4 * held * RATE
     assert running.process.is_alive(), running.said
 
 
