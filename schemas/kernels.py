@@ -47,7 +47,7 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any], ending: str
     """ending: of the name under which it is kept."""
     flags: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True} | options
     compiled = njit(**flags)(function)
-    cache = getattr(compiled, "_cache", None)
+    cache: Any = getattr(compiled, "_cache", None)
     kept = getattr(cache, "_cache_file", None)
     if isinstance(kept, IndexDataCacheFile):
         _keep_whole(kept, ending, cache._impl.locator, Path(function.__code__.co_filename))

@@ -43,7 +43,10 @@ def run(*command: str | Path, folder: Path, **environment: str) -> subprocess.Co
     )
 
 
-def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def installed_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the bundled log, and with the wheel in an environment `empty`."""
+    tmp_path = tmp_path_factory.mktemp("wheel")
     uv = shutil.which("uv")
     if uv is None:
         pytest.skip("needs uv, which builds the wheel")
@@ -65,9 +68,14 @@ def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
     assert installed.returncode == 0, installed.stderr
     installed = run(uv, "pip", "install", "--offline", "--no-deps", "--python", python, wheel, folder=tmp_path)
     assert installed.returncode == 0, installed.stderr
-    command = tmp_path / "empty" / "bin" / "deltatwin"
-    assert run(command, "--version", folder=tmp_path).stdout.startswith("deltatwin ")
     shutil.copy(REPOSITORY / LOG, tmp_path)
+    return tmp_path
+
+
+def test_the_wheel_works_outside_the_repository(installed_wheel: Path) -> None:
+    tmp_path, python = installed_wheel, installed_wheel / "empty" / "bin" / "python"
+    command = python.with_name("deltatwin")
+    assert run(command, "--version", folder=tmp_path).stdout.startswith("deltatwin ")
     for arguments in (("inspect", "log.mcap"), ("convert", "log.mcap", "log.csv")):
         done = run(command, *arguments, folder=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -86,9 +94,12 @@ def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
     own.write_text(OWN_EFFECT)
     asked = run(command, "evaluate", "log.mcap", "--robot", "d3-1200", "--effects", own, folder=tmp_path)
     assert asked.returncode == 0, asked.stderr
-    shown = run(command, "demo", "--out", tmp_path / "shown", folder=tmp_path)
+
+
+def test_its_demo_runs(installed_wheel: Path) -> None:
+    shown = run(installed_wheel / "empty" / "bin" / "deltatwin", "demo", "--out", "shown", folder=installed_wheel)
     assert shown.returncode == 0, shown.stderr
-    assert (tmp_path / "shown" / "demo.html").exists()
+    assert (installed_wheel / "shown" / "demo.html").exists()
 
 
 def test_the_version_is_that_of_the_tag(tmp_path: Path) -> None:

@@ -16,56 +16,18 @@ def layout(robot: str) -> str:
     def path(topic: str, field: str) -> str:
         return f"{topic_name(robot, topic)}.{field}"
 
-    def plot(title: str, *paths: tuple[str, str]) -> dict[str, object]:
-        series = [
-            {"value": value, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
-            for value, label in paths
-        ]
-        return {
-            "foxglovePanelTitle": title,
-            "paths": series,
-            "xAxisVal": "timestamp",
-            "showLegend": True,
-            "isSynced": True,
-            "timeWindowMode": "sliding",
-            "followingViewWidth": SECONDS,
-        }
-
-    own, frame = f"/deltatwin/{robot_key(robot)}", f"{robot_key(robot)}_base"
-    shapes = {
-        "instanceId": "robot",
-        "layerId": "foxglove.Urdf",
-        "label": robot,
-        "visible": True,
-        "sourceType": "topic",
-        "topic": f"{own}/robot_description",
-        "controlMode": "transforms",
-    }
-
     panels = {
-        "3D!robot": {
-            "followTf": frame,
-            "fixedFrame": frame,
-            "followMode": "follow-none",
-            "layers": {"robot": shapes},
-            "cameraState": {
-                "perspective": True,
-                "distance": 3.0,
-                "phi": 75.0,
-                "thetaOffset": 30.0,
-                "targetOffset": [0.0, 0.0, -0.5],
-            },
-        },
-        "Plot!torque": plot(
+        "3D!robot": _scene(robot),
+        "Plot!torque": _plot(
             "torque / N m",
             *((path("sample", f"torque[{j}]"), f"measured {j + 1}") for j in range(3)),
             *((path("feedforward", f"torque[{j}]"), f"feed-forward {j + 1}") for j in range(3)),
         ),
-        "Plot!error": plot("torque less model / N m", *((path("error", f"full[{j}]"), str(j + 1)) for j in range(3))),
-        "Plot!payload": plot(
+        "Plot!error": _plot("torque less model / N m", *((path("error", f"full[{j}]"), str(j + 1)) for j in range(3))),
+        "Plot!payload": _plot(
             "payload / kg", (path("payload", "mass"), "mass"), (path("payload", "trusted"), "trusted (1)")
         ),
-        "Plot!position": plot(
+        "Plot!position": _plot(
             "position / rad", *((path("sample", f"position[{j}]"), f"joint {j + 1}") for j in range(3))
         ),
         "RawMessages!health": {"topicPath": topic_name(robot, "health")},
@@ -84,6 +46,49 @@ def layout(robot: str) -> str:
         },
         indent=1,
     )
+
+
+def _scene(robot: str) -> dict[str, object]:
+    """The robot as its URDF shows it."""
+    shapes = {
+        "instanceId": "robot",
+        "layerId": "foxglove.Urdf",
+        "label": robot,
+        "visible": True,
+        "sourceType": "topic",
+        "topic": f"/deltatwin/{robot_key(robot)}/robot_description",
+        "controlMode": "transforms",
+    }
+    frame = f"{robot_key(robot)}_base"
+    return {
+        "followTf": frame,
+        "fixedFrame": frame,
+        "followMode": "follow-none",
+        "layers": {"robot": shapes},
+        "cameraState": {
+            "perspective": True,
+            "distance": 3.0,
+            "phi": 75.0,
+            "thetaOffset": 30.0,
+            "targetOffset": [0.0, 0.0, -0.5],
+        },
+    }
+
+
+def _plot(title: str, *paths: tuple[str, str]) -> dict[str, object]:
+    """paths: where the values are, and their label."""
+    series = [
+        {"value": value, "label": label, "enabled": True, "timestampMethod": "receiveTime"} for value, label in paths
+    ]
+    return {
+        "foxglovePanelTitle": title,
+        "paths": series,
+        "xAxisVal": "timestamp",
+        "showLegend": True,
+        "isSynced": True,
+        "timeWindowMode": "sliding",
+        "followingViewWidth": SECONDS,
+    }
 
 
 def _split(direction: str, *parts: object) -> object:

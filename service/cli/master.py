@@ -113,14 +113,7 @@ def command(
             limit = peak if max_torque is None else min(peak, max_torque)
             fade = description.limits.torque_fade_s
             offset, ahead = OffsetRamp(master.scale, limit, slope, fade, period), PositionRamp(fade, period)
-            typer.echo(
-                f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
-            )
-            if twists and not master.goes_ahead:
-                typer.echo(
-                    "the gears are elastic, but not all drives map 0x60B0: the motors do not lead the plan",
-                    err=True,
-                )
+            _say_operating(interface, len(plan) * period, twists and not master.goes_ahead)
             with Report(health, master, offset, torque.counts if torque else None) as tell:
                 for done, _ in enumerate(follow(master, plan, torque or nothing, offset, ahead), start=1):
                     sent[done - 1] = master.sent_ns
@@ -135,6 +128,13 @@ def command(
     typer.echo(summary(done, len(plan), master.counts, sent[:done]))
     if torque:
         typer.echo(torque.summary())
+
+
+def _say_operating(interface: str, duration: float, behind: bool) -> None:
+    """duration: s. behind: elastic gears that the motors cannot go before."""
+    typer.echo(f"drives in operation on {interface} for {duration:.1f} s; Ctrl-C stops them", err=True)
+    if behind:
+        typer.echo("the gears are elastic, but not all drives map 0x60B0: the motors do not lead the plan", err=True)
 
 
 def _planned(

@@ -374,7 +374,17 @@ def test_what_fails_while_running_ends_the_run_with_its_name(
     with pytest.raises(BusError, match=says):
         space.call(lambda: run(robot, lambda: segment.say(switch)))
     segment.say("mend")
-    assert len(space.call(lambda: run(robot)))  # faults are reset, the drives run again
+    assert ran_again(space, robot)  # faults are reset
+
+
+def ran_again(space: rig.Namespace, robot: Robot, tries: int = 3) -> int:
+    """Cycles of a run; one that ended as the host did not let the segment run is made again."""
+    try:
+        return len(space.call(lambda: run(robot)))
+    except BusError as error:
+        if tries == 1 or "no drive answers" not in str(error):
+            raise
+        return ran_again(space, robot, tries - 1)
 
 
 def test_drives_that_map_something_else(space: rig.Namespace, segment: rig.SegmentProcess, tmp_path: Path) -> None:
