@@ -22,8 +22,7 @@ _HERE = Path(__file__).parent
 KERNEL_ROOMS = ("drivers", "schemas", "service/estimator", "service/model", "service/rollout")
 
 
-def digest() -> str:
-    """Of all that kernels are made of."""
+def _digest() -> str:
     sources = hashlib.sha256()
     for room in KERNEL_ROOMS:
         for path in sorted((_HERE.parent / room).rglob("*.py")):
@@ -34,9 +33,9 @@ def digest() -> str:
 def _cache_folder() -> Path:
     """Where compiled kernels are kept: beside the sources, in the home, in a temporary folder of this user's alone (who
     can write there can have this process run anything), or else for this process only."""
-    name, home = f"kernels-{DIGEST}", Path(os.path.expanduser("~"))
+    home = Path(os.path.expanduser("~"))
     for place in (_HERE / "__pycache__", home / ".cache" / "deltatwin"):
-        folder = place / name
+        folder = place / NAME
         with suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK | os.X_OK):
@@ -45,7 +44,7 @@ def _cache_folder() -> Path:
     with suppress(OSError):
         own = Path(tempfile.gettempdir()) / f"deltatwin-{os.getuid()}"
         own.mkdir(mode=0o700, exist_ok=True)
-        found, folder = own.lstat(), own / name
+        found, folder = own.lstat(), own / NAME
         if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
             if not folder.exists():
                 folder.mkdir()
@@ -60,7 +59,7 @@ def _cache_folder() -> Path:
     return folder
 
 
-DIGEST = digest()
+NAME = f"kernels-{_digest()}"
 if not os.environ.get("NUMBA_CACHE_DIR"):
     _folder = str(_cache_folder())
     os.environ["NUMBA_CACHE_DIR"] = _folder  # Numba reads it when it is imported
@@ -71,3 +70,8 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 def kept_in() -> Path:
     """The folder of compiled kernels."""
     return Path(os.environ["NUMBA_CACHE_DIR"])
+
+
+def by_content() -> bool:
+    """Whether all that is kept there is of these sources: not in a folder that somebody else has named."""
+    return kept_in().name == NAME

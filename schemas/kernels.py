@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from schemas.kernel_cache import DIGEST, KERNEL_ROOMS, kept_in  # before Numba, which reads the place then
+from schemas.kernel_cache import KERNEL_ROOMS, NAME, by_content, kept_in  # before Numba, which reads the place then
 
 from numba import njit  # isort: skip
 from numba.core import event, types  # isort: skip
@@ -55,12 +55,12 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any], ending: str
 
 
 def _keep_whole(kept: Any, ending: str, locator: Any, source: Path) -> None:
-    """Give Numba's files of one kernel their checksum, and `ending` behind their names. Ours are known by the digest of
-    all sources, so that they hold wherever these lie and whenever they were written; what a user's own file compiles
-    goes by that file, as with Numba."""
+    """Give Numba's files of one kernel their checksum, and `ending` behind their names. In our own folder they are
+    known by the digest of all sources, so that they hold wherever these lie and whenever they were written; what a
+    user's own file compiles goes by that file, as with Numba."""
     stem, stamp = kept._index_name.removesuffix(".nbi"), kept._source_stamp
-    if any(source.is_relative_to(_ROOT / room) for room in KERNEL_ROOMS):
-        stamp = DIGEST
+    if by_content() and any(source.is_relative_to(_ROOT / room) for room in KERNEL_ROOMS):
+        stamp = NAME
         locator._cache_path = str(kept_in().joinpath(*source.relative_to(_ROOT).parent.parts))
     kept.__class__ = _Kept
     kept.__init__(locator.get_cache_path(), stem + ending, stamp)

@@ -19,6 +19,7 @@ import hashlib
 import io
 import json
 import os
+import pickle
 import random
 import re
 import resource
@@ -35,6 +36,7 @@ from pathlib import Path
 
 import pytest
 from numba.core.caching import _CacheLocator
+from numba.core.serialize import dumps
 
 from tests.bench.mutate import Mutant, mutants
 from tests.bench.survey import Survey
@@ -283,15 +285,24 @@ def _importing(files: set[Path]) -> re.Pattern[str]:
 
 
 def carry_over(kernels: Path, tree: Path) -> None:
-    """The kernels of this checkout into `kernels`, under the names by which Numba finds them for the copy."""
+    """The kernels of this checkout into `kernels`, under the names and stamps by which Numba finds them for the copy:
+    here they are known by all sources, of which a mutant is not one."""
     own = Path(os.environ["NUMBA_CACHE_DIR"])
     kernels.mkdir()
-    for folder in {
-        path.parent.relative_to(ROOT) for room in ("service", "drivers") for path in (ROOT / room).rglob("*.py")
-    }:
-        before, after = (_CacheLocator.get_suitable_cache_subpath(str(root / folder / "_.py")) for root in (ROOT, tree))
-        if (own / before).is_dir():
-            shutil.copytree(own / before, kernels / after)
+    for kept in own.rglob("*.nb?"):
+        folder = kept.parent.relative_to(own)
+        source = (tree / folder / kept.name.split(".")[0]).with_suffix(".py")
+        if not source.exists():  # a kernel of a test's own
+            continue
+        target = kernels / _CacheLocator.get_suitable_cache_subpath(str(tree / folder / "_.py")) / kept.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if kept.suffix == ".nbi":
+            with kept.open("rb") as file:
+                version, (_, overloads) = pickle.load(file), pickle.load(file)
+            stamp = source.stat().st_mtime, source.stat().st_size
+            target.write_bytes(pickle.dumps(version, -1) + dumps((stamp, overloads)))
+        else:
+            shutil.copy(kept, target)
 
 
 @contextlib.contextmanager

@@ -116,6 +116,19 @@ def test_kernels_hold_for_any_copy_of_the_same_sources(ours, tmp_path_factory):
     assert run(copy) == ("22", "")
 
 
+def test_in_a_folder_of_somebody_elses_they_go_by_their_file(ours, tmp_path_factory):
+    """There may be those of other sources, under the same names."""
+    place = str(tmp_path_factory.mktemp("place"))
+    assert run(ours, NUMBA_CACHE_DIR=place) == ("1", "")
+    copy = tmp_path_factory.mktemp("elsewhere") / "copy"
+    shutil.copytree(ours, copy)
+    called = copy / "service" / "model" / "called.py"
+    called.write_text(called.read_text().replace("return 1", "return 22"))
+    assert run(copy, NUMBA_CACHE_DIR=place) == ("22", "")
+    assert run(ours, NUMBA_CACHE_DIR=place) == ("1", "")
+    assert len(list(Path(place).rglob("*.nbi"))) == 4
+
+
 def test_a_file_of_the_users_own_goes_by_that_file(ours):
     own = ours / "own.py"
     for answer in ("7", "88"):
