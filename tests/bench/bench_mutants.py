@@ -33,9 +33,10 @@ import traceback
 import types
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
-from numba.core.caching import _CacheLocator
+from numba.core.caching import _CacheLocator, _SourceFileBackedLocatorMixin
 from numba.core.serialize import dumps
 
 from tests.bench.mutate import Mutant, mutants
@@ -299,7 +300,8 @@ def carry_over(kernels: Path, tree: Path) -> None:
         if kept.suffix == ".nbi":
             with kept.open("rb") as file:
                 version, (_, overloads) = pickle.load(file), pickle.load(file)
-            stamp = source.stat().st_mtime, source.stat().st_size
+            located: Any = types.SimpleNamespace(_py_file=str(source))
+            stamp = _SourceFileBackedLocatorMixin.get_source_stamp(located)
             target.write_bytes(pickle.dumps(version, -1) + dumps((stamp, overloads)))
         else:
             shutil.copy(kept, target)
