@@ -78,7 +78,9 @@ def load_robot(path: str | Path, effects: str | Path | None = None) -> Descripti
     """
     from service.model.effects import catalogue
 
-    own = None if effects is None else as_path(effects)
+    if effects is None:
+        return load_description(as_path(path))
+    own = as_path(effects)
     catalogue(own)  # also where the description names no effect: who gives the file means it to be used
     return load_description(as_path(path), own)
 

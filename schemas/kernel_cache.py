@@ -70,8 +70,3 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 def kept_in() -> Path:
     """The folder of compiled kernels."""
     return Path(os.environ["NUMBA_CACHE_DIR"])
-
-
-def by_content() -> bool:
-    """Whether all that is kept there is of these sources: not in a folder that somebody else has named."""
-    return kept_in().name == NAME

@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from schemas.kernel_cache import KERNEL_ROOMS, NAME, by_content, kept_in  # before Numba, which reads the place then
+from schemas.kernel_cache import KERNEL_ROOMS, NAME, kept_in  # before Numba, which reads the place then
 
 from numba import njit  # isort: skip
 from numba.core import event, types  # isort: skip
@@ -25,6 +25,8 @@ from numba.core.caching import IndexDataCacheFile  # isort: skip
 from numba.core.registry import CPUDispatcher  # isort: skip
 
 _ROOT = Path(__file__).parents[1]
+# What the digest that names our own folder is of; nothing where kernels are kept in somebody else's.
+_BY_CONTENT = tuple(f"{_ROOT / room}{os.sep}" for room in KERNEL_ROOMS) if kept_in().name == NAME else ()
 _SUM = hashlib.sha256().digest_size
 _said: set[str] = set()
 
@@ -50,18 +52,18 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any], ending: str
     cache: Any = getattr(compiled, "_cache", None)
     kept = getattr(cache, "_cache_file", None)
     if isinstance(kept, IndexDataCacheFile):
-        _keep_whole(kept, ending, cache._impl.locator, Path(function.__code__.co_filename))
+        _keep_whole(kept, ending, cache._impl.locator, function.__code__.co_filename)
     return compiled
 
 
-def _keep_whole(kept: Any, ending: str, locator: Any, source: Path) -> None:
+def _keep_whole(kept: Any, ending: str, locator: Any, source: str) -> None:
     """Give Numba's files of one kernel their checksum, and `ending` behind their names. In our own folder they are
     known by the digest of all sources, so that they hold wherever these lie and whenever they were written; what a
     user's own file compiles goes by that file, as with Numba."""
     stem, stamp = kept._index_name.removesuffix(".nbi"), kept._source_stamp
-    if by_content() and any(source.is_relative_to(_ROOT / room) for room in KERNEL_ROOMS):
+    if source.startswith(_BY_CONTENT):
         stamp = NAME
-        locator._cache_path = str(kept_in().joinpath(*source.relative_to(_ROOT).parent.parts))
+        locator._cache_path = str(kept_in() / os.path.relpath(os.path.dirname(source), _ROOT))
     kept.__class__ = _Kept
     kept.__init__(locator.get_cache_path(), stem + ending, stamp)
 
