@@ -563,6 +563,16 @@ class Robot(Described):
     def save(self, path: Path, template: Path | None = None) -> None:
         save_robot(self, path, template)
 
+    def read_from(self, source: Source) -> Self:
+        for name, scaled in (("rho_1", "inertia"), ("rho_2", "weight")):
+            factor = Parameter(value=1.0) if self.identified is None else getattr(self.identified, name)
+            if factor.value < 0.0 and factor.verdict == "identifiable":
+                raise RobotError(
+                    f"{source.file or self.name}: identified.{name}.value: {factor.value:g}: the {scaled} "
+                    "times this is negative, and the feed-forward would push the wrong way"
+                )
+        return super().read_from(source)
+
     def answering(self, question: Question) -> Robot | None:
         return self if question in _ANSWERED else None
 

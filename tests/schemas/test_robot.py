@@ -91,6 +91,7 @@ ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1
         ('"d3-1200"', '"d3\\n"', r"name: .*d3"),
         ("# Witt", TWO, r"identified\.torque_noise_nm\.value: 2 values for 3"),
         ("# Witt", ONE, r"identified\.torque_noise_nm\.value: 1 values for 3"),
+        ("# Witt", "\n[identified]\nrho_2 = {value = -5}\n#", r"identified\.rho_2\.value: -5: the weight times"),
         ("# Witt", "\n[[effect]]\nname = 'x'\njoints = [4]\nparameters = {}\n#", r"effect x: joint 4 of 3"),
         ("gear_ratio = 5", "gear_ratio = 5\n[columns]\nheader_line = 1e20", r"columns\.header_line: .*got 1e\+20"),
         ("gravity_mps2 = 9.81", 'kind = "scara"', 'kind = "scara": a Delta robot is needed'),
