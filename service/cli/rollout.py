@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -63,18 +64,19 @@ def command(
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
     with console(stderr=True).status("simulating") as status:
         found = compare(robots, recorded, horizon, commands, lambda what: status.update(f"simulating {what}"))
-    files = dict(zip(list(robots)[1:], described, strict=True))
+    own = f" --effects {quote(str(effects))}" if effects else ""
+    given = dict(zip(list(robots)[1:], (quote(path) + own for path in described), strict=True))
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
         write_text(out / "rollout.json", result.model_dump_json(indent=1, by_alias=True))
-        write_rollout(result, out / "rollout.html", files)
+        write_rollout(result, out / "rollout.html", given)
     if json:
         print(result.model_dump_json(indent=1, by_alias=True))
         return
     console().print(_table(result), _regimes(result))
     if out is not None:
         typer.echo(f"wrote rollout.json and rollout.html in {out}")
-    say_headline(headline(result, files))
+    say_headline(headline(result, given))
 
 
 def _robots(described: dict[str, Robot]) -> dict[str, Robot]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from shlex import quote
 
 import numpy as np
 import plotly.graph_objects as go
@@ -95,10 +94,10 @@ def _numbers(values: np.ndarray) -> list[float | None]:
     return [_number(float(value)) for value in values]
 
 
-def write_rollout(result: RolloutDocument, path: Path, files: Mapping[str, str]) -> None:
-    """Write the page of a rollout. files: see `headline`."""
+def write_rollout(result: RolloutDocument, path: Path, given: Mapping[str, str]) -> None:
+    """Write the page of a rollout. given: see `headline`."""
     plots = {"growth": growth(result), "by_regime": _by_regime(result)}
-    write_page("rollout", path, headline(result, files), document=result, in_figures=in_figures, **plots)
+    write_page("rollout", path, headline(result, given), document=result, in_figures=in_figures, **plots)
 
 
 def in_figures(value: float | None) -> str:
@@ -108,8 +107,9 @@ def in_figures(value: float | None) -> str:
     return significant(value) if value < 1000.0 else f"{value:.0f}"
 
 
-def headline(result: RolloutDocument, files: Mapping[str, str]) -> Headline:
-    """How far the best description is from the robot, after the horizon. files: name -> file of each description."""
+def headline(result: RolloutDocument, given: Mapping[str, str]) -> Headline:
+    """How far the best description is from the robot, after the horizon. given: name -> each
+    description as words of a command."""
     lines, horizon = tuple(sentences(result)), f"{1e3 * result.horizon_s:.0f} ms"
     floor, shown = result.floor.platform_mm, _simulated(result)
     if not shown:
@@ -125,8 +125,7 @@ def headline(result: RolloutDocument, files: Mapping[str, str]) -> Headline:
         return Headline("bad", said, number, of, step, lines)
     if floor is not None and error < AT_FLOOR * floor:
         said = f"'{best}' moves as the robot does: the difference is within the noise of torque and start state."
-        file = quote(files.get(best, "FILE"))
-        step = f"`deltatwin export {file} --to mjcf --out robot.xml` writes {best} for a simulator."
+        step = f"`deltatwin export {given.get(best, 'FILE')} --to mjcf --out robot.xml` writes {best} for a simulator."
         return Headline("good", said, number, of, step, lines)
     if others and error < others[-1][1]:
         other, its = others[-1]

@@ -77,7 +77,7 @@ def _installed(path: tuple[str, ...]) -> tuple[Effect, ...]:
     found = []
     for point in entry_points(group=ENTRY_POINTS):
         try:
-            found.append(point.load()())
+            found.append(_made(point.load()))
         except Exception as error:
             raise RobotError(f"effect {point.name} = {point.value}: {type(error).__name__}: {error}") from error
     return tuple(found)
@@ -96,10 +96,10 @@ def _from_file(path: Path, changed: int) -> list[Effect]:
     try:
         # not by the import system: its cache takes a file of one size, changed twice in a second, for the old one
         exec(compile(path.read_bytes(), path, "exec"), vars(module))
+        found = _effects(module)
     except Exception as error:
         del sys.modules[name]
         raise RobotError(f"{path}: {type(error).__name__}: {error}") from error
-    found = _effects(module)
     if not found:
         raise RobotError(f"{path}: no class derived from deltatwin.effects.Effect")
     return found
@@ -107,7 +107,16 @@ def _from_file(path: Path, changed: int) -> list[Effect]:
 
 def _effects(module: ModuleType) -> list[Effect]:
     kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Effect)]
-    return [kind() for kind in kinds if kind.__module__ == module.__name__]
+    return [_made(kind) for kind in kinds if kind.__module__ == module.__name__]
+
+
+def _made(kind: type[Effect]) -> Effect:
+    """One of it, with what has no default."""
+    effect = kind()
+    for key in ("name", "settles"):
+        if not isinstance(getattr(effect, key, None), str):
+            raise TypeError(f"class {kind.__name__} has no text {key!r}")
+    return effect
 
 
 CATALOGUE = tuple(effect for name in NAMES for effect in _effects(importlib.import_module(f"{__name__}.{name}")))

@@ -52,3 +52,18 @@ def test_a_package_that_cannot_be_loaded_is_named(install: Callable[[str], None]
     install("our_effects:Missing")
     with pytest.raises(RobotError, match=r"effect rubber_stop = our_effects:Missing: AttributeError"):
         catalogue()
+
+
+@pytest.mark.parametrize(
+    ("whole", "cut", "said"),
+    [
+        ('    name = "rubber_stop"\n', "", "class RubberStop has no text 'name'"),
+        ("def regressors", "def other", "TypeError: .*abstract.*regressors"),
+        ("stiffness: Amplitude =", "stiffness: Amplitude, other =", "SyntaxError"),
+    ],
+)
+def test_an_effect_that_is_not_whole_is_an_error_of_its_file(tmp_path: Path, whole: str, cut: str, said: str) -> None:
+    assert whole in MODULE
+    (own := tmp_path / "own.py").write_text(MODULE.replace(whole, cut), encoding="utf-8")
+    with pytest.raises(RobotError, match=rf"own\.py: .*{said}"):
+        catalogue(own)

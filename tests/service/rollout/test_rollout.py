@@ -114,9 +114,16 @@ def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
         save_robot(robot, tmp_path / f"{name}.toml")
     trace = log(tmp_path, truth)
     given = [argument for name in names for argument in ("--robot", str(tmp_path / f"{name}.toml"))]
-    told = runner.invoke(app, ["rollout", str(trace), *given, "--out", str(tmp_path / "out")])
+    own = tmp_path / "own.py"
+    own.write_text(
+        "from service.model.effects.base import Effect\n"
+        "class Own(Effect):\n    name, settles, regressors = 'own', 'another log', None\n"
+    )
+    given += ["--effects", str(own), "--out", str(tmp_path / "out")]
+    told = runner.invoke(app, ["rollout", str(trace), *given])
     assert told.exit_code == 0, told.output
-    assert f"next: `deltatwin export {tmp_path / 'corrected.toml'} --to mjcf --out robot.xml`" in told.output
+    export = f"deltatwin export {tmp_path / 'corrected.toml'} --effects {own} --to mjcf --out robot.xml"
+    assert f"next: `{export}`" in told.output
     written = json.loads((tmp_path / "out" / "rollout.json").read_text())
     assert written["schema"] == "deltatwin.rollout/1"
     assert [entry["robot"] for entry in written["robots"]] == [PLAIN, "identified", "corrected"]
