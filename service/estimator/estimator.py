@@ -151,6 +151,7 @@ def _payload_beside() -> Iterator[Callable[[], object]]:
             yield beside.wait
         finally:
             beside.kill()
+            beside.wait()  # `Popen` itself leaves after a quarter of a second of an interrupt
 
 
 def compile_payload(asking: int) -> None:
