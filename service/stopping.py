@@ -15,6 +15,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
+_PR_SET_PDEATHSIG = 1
 ENDING = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))]
 INTERRUPTED = 130  # exit code of Ctrl-C
 SAME_WISH_S = 1.0  # Ctrl-C comes twice: from the terminal, and from who started this process and is stopped as well
@@ -43,6 +44,16 @@ def end_at_once(code: int = INTERRUPTED) -> None:
     _handle(lambda *_: os._exit(code))
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def end_with(parent: int) -> None:
+    """End this process with `parent`, which has started it, in whatever way that does."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:  # it ended while this one was starting
+        os._exit(INTERRUPTED)
 
 
 def all_is_done() -> None:

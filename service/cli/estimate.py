@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
-from service.stopping import interrupted
+from service.stopping import end_at_once, interrupted, terminate_as_interrupt
 
 
 def command(
@@ -44,7 +44,9 @@ def command(
     keeper = None if keep is None else Keeper(keep, as_delta(description, Question.LEARNING))
     check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
     typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)
+    end_at_once()  # an exception from between two steps of the compiler would leave it with memory that is owned twice
     compile_estimator(description)  # before anybody can hear that the role is alive
+    terminate_as_interrupt()
     standing = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure, ros_domain) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -23,6 +21,7 @@ from service.estimator.feedforward import plan_kernel
 from service.estimator.friction_health import findings_kernel
 from service.estimator.payload.payload_step import payload_kernel
 from service.estimator.step import answer_kernel, compile_beside_payload, look_back_kernel, run_kernel
+from service.stopping import end_with
 
 # Samples from which the period is read. Stamps of a bus jitter; the median of this many does not.
 PERIOD_SAMPLES = 16
@@ -30,7 +29,6 @@ SHORTEST_PERIOD = 2e-5  # s, below it there is no drive's cycle
 LONGEST_PERIOD = 0.1  # s, above it there is no motion to follow
 # This share of the steps in sequence must be a multiple of a stride; of random losses far less are.
 STRIDE_SHARE = 0.8
-_PR_SET_PDEATHSIG = 1
 
 
 class Result(NamedTuple):
@@ -142,8 +140,9 @@ def _payload_beside() -> Iterator[Callable[[], object]]:
     if _is_compiled():
         yield lambda: None
         return
+    ends = f"from {end_with.__module__} import end_with; end_with({os.getpid()})"
     with subprocess.Popen(
-        [sys.executable, "-c", f"from {__name__} import compile_payload; compile_payload({os.getpid()})"],
+        [sys.executable, "-c", f"{ends}; from {__name__} import compile_payload; compile_payload()"],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     ) as beside:  # fmt: skip
@@ -154,13 +153,8 @@ def _payload_beside() -> Iterator[Callable[[], object]]:
             beside.wait()  # `Popen` itself leaves after a quarter of a second of an interrupt
 
 
-def compile_payload(asking: int) -> None:
-    """Compile the payload's part of `look_back` and leave it in the cache. Ends with the process `asking`, in whatever
-    way that does."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != asking:  # it ended while this one was starting
-            return
+def compile_payload() -> None:
+    """Compile the payload's part of `look_back` and leave it in the cache."""
     step = np.zeros(1, state.STEP)[0]
     payload_kernel.inside.compile(tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
 

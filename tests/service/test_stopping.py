@@ -262,6 +262,53 @@ def test_the_listener_of_a_segment_ends_with_it(
     os.close(told)
 
 
+STARTS_ONE = """
+import os, subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", sys.argv[1].format(os.getpid())], stdout=subprocess.PIPE)
+child.stdout.readline()
+print(child.pid, flush=True)
+time.sleep(60.0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs Linux, whose kernel ends it")
+def test_what_was_started_ends_with_a_process_that_is_killed() -> None:
+    starts = (
+        "import time; from service.stopping import end_with; end_with({}); print('runs', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen([sys.executable, "-c", STARTS_ONE, starts], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = psutil.Process(int(parent.stdout.readline()))
+        assert child.is_running()
+        parent.kill()
+    assert psutil.wait_procs([child], 10.0)[0]
+
+
+def test_what_was_started_by_a_process_that_is_gone_ends() -> None:
+    ended = run("from service.stopping import end_with; end_with(1); print('runs')")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
+def test_while_estimate_compiles_a_signal_ends_it_at_once(bus_folder: Path, tmp_path: Path) -> None:
+    """Not by an exception, which what is compiled could swallow, or leave memory with two owners behind."""
+    ended = run(f"""
+import os, signal, sys, time
+from service.estimator import online
+def swallows(description):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5.0)
+    except BaseException:
+        print("swallowed", flush=True)
+online.compile_estimator = swallows
+sys.argv = ["deltatwin", "estimate", "--robot", {str(ROBOT)!r}]
+from service.cli.main import main
+main()
+""")
+    assert (ended.returncode, ended.stdout) == (130, "")
+    assert ended.stderr.endswith("about half a minute\n")
+
+
 @pytest.mark.slow
 def test_who_compiles_for_a_process_that_was_killed_does_not_go_on(tmp_path: Path) -> None:
     code = """
