@@ -53,6 +53,7 @@ def _compiled(function: Callable[..., Any], options: dict[str, Any], ending: str
     kept = getattr(cache, "_cache_file", None)
     if isinstance(kept, IndexDataCacheFile):
         _keep_whole(kept, ending, cache._impl.locator, function.__code__.co_filename)
+        cache._cache_path = kept._cache_path  # what `stats` says
     return compiled
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.messages import REFERENCE, FeedforwardSource, PayloadEvent, SampleFlag, stamp_ns
-from service.estimator.estimator import Estimator, rate_of
+from service.estimator.estimator import Estimator, compile_all, rate_of
 from tests.known import PERIOD
 
 
@@ -254,3 +254,10 @@ def test_the_period_comes_from_the_stamps(make):
     samples = make(0.1, period=2.5e-4).samples
     assert rate_of(samples) == (pytest.approx(2.5e-4), 1)
     assert rate_of(samples[[0, 1, 2, 5, 6, 9]]) == (pytest.approx(2.5e-4), 1)
+
+
+def test_once_all_is_compiled_no_second_process_is_started(robot, monkeypatch):
+    """One that had nothing to do took a second of a processor at every start."""
+    compile_all(robot)
+    monkeypatch.setattr("service.estimator.estimator.subprocess", None)
+    compile_all(robot)
