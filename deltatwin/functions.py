@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, overload
+from typing import get_args, overload
 
 import schemas.trace as recorded
 from deltatwin.given import Traces, as_list, as_path, described, logs_of
@@ -25,7 +25,7 @@ from schemas.chain_description import Chain
 from schemas.columns import Columns
 from schemas.errors import DataError
 from schemas.questions import Question, as_delta
-from schemas.robot import Robot
+from schemas.robot import Method, Robot
 
 __all__ = [
     "Description", "diagnose", "evaluate", "identify", "load_demo", "load_robot", "payload", "read_trace", "rollout",
@@ -122,7 +122,7 @@ def identify(
     robot: Description,
     traces: Traces,
     *,
-    method: Literal["pooled", "paper"] = "pooled",
+    method: Method = "pooled",
     carried: Sequence[tuple[float, recorded.Trace]] = (),
 ) -> IdentificationResult:
     """Identify inertia, gravity, forearm and friction, with standard errors: weighted least squares over all logs.
@@ -137,7 +137,7 @@ def identify(
         `robot` with its `[identified]` section, the parameters with their verdicts, the residuals.
 
     Raises:
-        DataError: the data cannot give an answer, naming log and joint. TraceError: a log is unusable.
+        DataError: the data cannot give an answer, naming log and joint; no such method. TraceError: a log is unusable.
 
     Example:
         >>> import deltatwin as dt
@@ -148,6 +148,8 @@ def identify(
     """
     from service.identification.of_logs import identify_logs
 
+    if method not in get_args(Method):
+        raise DataError(f"method: {method!r} is none of {', '.join(map(repr, get_args(Method)))}")
     logs = logs_of(described(robot), traces)
     result, figures = identify_logs(robot, logs, method, carried)
     names = tuple(log.name for log in logs)

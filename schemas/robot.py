@@ -258,10 +258,13 @@ def check_joints(identified: BaseModel | None, effects: list[EffectEntry], count
             raise ValueError(f"effect {effect.name}: joint {max(effect.joints)} of {count}")
 
 
+Method = Literal["pooled", "paper"]
+
+
 class Identified(TomlTable):
     """What `identify` found. Absent terms are zero (friction, forearm) or one (rho)."""
 
-    method: Literal["pooled", "paper"] = "pooled"  # of the fit: pooled least squares, or the grid of the paper
+    method: Method = "pooled"  # of the fit: pooled least squares, or the grid of the paper
     rho_1: Parameter = Parameter(value=1.0)  # factor on the inertia
     rho_2: Parameter = Parameter(value=1.0)  # factor on the weight
     viscous_friction_nms: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])  # N m s/rad

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from schemas.axes_description import Description
 from schemas.errors import DataError
 from schemas.fitted import JointParameter
-from schemas.robot import Robot
+from schemas.robot import Method, Robot
 from service.identification import checks, paper_method, pooled
 from service.identification.angle_unit import refuse_wrong_angles
 from service.identification.held import told_of_held
@@ -23,7 +23,6 @@ from service.model.nominal import pack
 from service.model.parameters import TIMING_LIMIT
 from service.model.scene import Base, Recording
 
-Method = Literal["pooled", "paper"]
 MINIMUM_BLOCKS = 2 * PARAMETERS
 AT_LIMIT = 1.0 - 1e-6  # of the timing within a sample: so near to its limit it stands there
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Sequence
 from schemas.axes_description import Axes, Description
 from schemas.chain_description import Chain
 from schemas.errors import RobotError
-from schemas.robot import Robot
+from schemas.robot import Method, Robot
 from schemas.trace import Trace
 from service.identification.calibration import CalibratedFigure, calibrate
 from service.identification.copies import refuse_copies
-from service.identification.from_traces import Method, identify
+from service.identification.from_traces import identify
 from service.identification.joint_machines import identify_axes
 from service.identification.pooled import Identification
 from service.identification.regression import summarise

@@ -213,6 +213,7 @@ def test_what_is_no_trace_is_said(demo: tuple) -> None:
         (lambda robot, log: UNTYPED.save_robot(None, "a.toml"), "None is not a description"),
         (lambda robot, log: UNTYPED.identify("d3-1200", log), "'d3-1200' is not a description"),
         (lambda robot, log: UNTYPED.identify(robot, None), "None is not a trace"),
+        (lambda robot, log: UNTYPED.identify(robot, log, method="foo"), "method: 'foo' is none of 'pooled', 'paper'"),
         (lambda robot, log: UNTYPED.evaluate("d3-1200", log), "'d3-1200' is not a description"),
         (lambda robot, log: UNTYPED.payload(robot, None), "None is not a trace"),
         (lambda robot, log: UNTYPED.payload(robot, [log]), "is not a trace"),
