@@ -85,6 +85,14 @@ def how_it_ended(code: int | None, said: str, stop: signal.Signals) -> str:
     return str(code) if code in (0, 130) else f"code {code}"
 
 
+def _goes_on(process: psutil.Process) -> bool:
+    """Not where it has ended and who takes orphans, the first process of the machine, has not looked yet."""
+    try:
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
 class Job:
     """A bus of its own with a player on it, and one command after the other."""
 
@@ -127,7 +135,7 @@ class Job:
                 process.kill()
                 process.wait()
             took = time.monotonic() - since
-            left = [child for child in psutil.wait_procs(children, 1.0)[1] if child.is_running()]
+            left = [child for child in psutil.wait_procs(children, 1.0)[1] if _goes_on(child)]
             for child in left:
                 child.kill()
         said = log.read_text(errors="replace")
