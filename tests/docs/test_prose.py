@@ -17,13 +17,15 @@ from service.model.effects import NAMES
 from tests.conftest import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
-PAGES = sorted([REPOSITORY / "README.md", *DOCS.rglob("*.md")])
+PAGES = sorted([REPOSITORY / "README.md", REPOSITORY / "CHANGELOG.md", *DOCS.rglob("*.md")])
 README_LINES = 150
 
 # What reads like a measurement: percent, counts out of counts, deviations, times and sizes of machines, ratios.
 WORDS = r"(?:none|all|one|two|three|four|five|six|seven|eight|nine|ten|twelve|twenty|thirty|forty|fifty|hundred|\d+)"
 CLAIM = re.compile(
     rf"\bper ?cent\b|\b\w+fold\b|\b{WORDS} (?:out )?of (?:the )?{WORDS}\b|\b\d[\d.]*x\b|\d\s?(?:mrad|mm|kg|N m) rms\b|"
+    r"\b(?:within|off by|takes?|took|needs|error of) [\d.]+(?: to [\d.]+)? ?(?:m?s|min|g|kg|mm|mrad|N m)\b|"
+    r"\d ?(?:mm|mrad|N m|k?g|m?s) (?:off|wrong|too)\b|\b(?:half|third|quarter|fifth|tenth) (?:less|more|of the time)\b|"
     r"\d\s?%|\b\d[\d ]* of \d|±\s?\d|\d\s?(?:µs|ns|[MG]i?B|samples/s|frames/s)\b|\b\d[\d.]* times\b|\b\d+ lost\b"
 )
 # Numbers like that which measure nothing, and what they are.
@@ -66,6 +68,10 @@ def test_no_figure_without_a_source(path: Path) -> None:
         "2.3x",
         "a tenfold error",
         "0.3 mm rms",
+        "within 0.05 s",
+        "takes 42 s",
+        "3 mm off",
+        "a fifth less",
     ],
 )
 def test_a_claim_is_seen(line: str) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from docs.making.tutorials import TUTORIALS, TutorialError, blocks, commands, run
+from service.pages import BROWSERS
 
 NAMES = sorted(path.stem for path in TUTORIALS.glob("*.md") if path.stem != "index")
 RUN_ELSEWHERE = ("ethercat",)  # with what it leaves looked at: `tests/service/test_ethercat_demo.py`
@@ -21,7 +23,10 @@ QUICK = ("servo-axis",)
 def test_a_tutorial_does_what_it_says(name: str, tmp_path: Path) -> None:
     if name == "arm":
         pytest.importorskip("pinocchio")
-    assert run(TUTORIALS / f"{name}.md", tmp_path)
+    page, photographs = TUTORIALS / f"{name}.md", any(map(shutil.which, BROWSERS))
+    assert run(page, tmp_path, tmp_path if photographs else None)
+    shown = [block.name for block in blocks(page.read_text(encoding="utf-8")) if block.kind == "picture"]
+    assert all(is_drawn(tmp_path / picture) for picture in shown) or not photographs
 
 
 def test_from_an_own_csv_to_a_named_cause_in_ten_commands_or_fewer() -> None:
@@ -47,6 +52,13 @@ def test_an_answer_that_does_not_come_is_told(tmp_path: Path) -> None:
     page.write_text("```bash\nexit 3\n```\n")
     with pytest.raises(TutorialError, match="exit code 3"):
         run(page, made(tmp_path / "three"))
+
+
+def is_drawn(picture: Path) -> bool:
+    """Whether a photograph shows more than its background: what compresses to next to nothing does not."""
+    content = picture.read_bytes()
+    width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
+    return content.startswith(b"\x89PNG") and len(content) > width * height / 50
 
 
 def made(folder: Path) -> Path:
