@@ -80,7 +80,7 @@ def how_it_ended(code: int | None, said: str, stop: signal.Signals) -> str:
         own = bool(OWN.search(said))
         starting = code == -signal.SIGINT or "Fatal Python error: init_" in said  # other packages in it, too
         return "in Python's start" if starting and not own else "traceback"
-    if code == -stop and not said:
+    if (code == -stop and not said) or said == "KeyboardInterrupt\n":  # without a frame: no line has been run yet
         return "in Python's start"
     return str(code) if code in (0, 130) else f"code {code}"
 
