@@ -6,8 +6,8 @@ State of a joint: position, velocity, acceleration and jerk. The jerk is a first
 The covariance runs along with the state, so the gain always belongs to the gap that a sample closes. With every gap
 bounded (a longer one restarts the filter) the model is uniformly observable and controllable, and the filter is stable
 for any pattern of losses (Jazwinski, Stochastic Processes and Filtering Theory, 1970, theorem 7.4). The joints share
-model, noise and gaps, so they share one covariance. filterpy discretises the model (van Loan). Records are those of the
-three joints of a Delta; `joints.state` has the same of more.
+model, noise and gaps, so they share one covariance. Records are those of the three joints of a Delta; `joints.state`
+has the same of more.
 """
 
 from __future__ import annotations
@@ -101,15 +101,12 @@ def design(period: float, resolution: float, least_lag: int = 1, jerk: float = E
     The resolution is taken as the standard deviation of a position sample: quantisation is 0.29 of it, the rest is the
     encoder's own noise. The same arrays for the same arguments: a description is asked about several times.
     """
-    # here, for with `scipy.stats` they take longer to load than what uses this module without a filter takes to run
-    from filterpy.common import van_loan_discretization
-
     drift = np.zeros((ORDER, ORDER))
     drift[0, 1] = drift[1, 2] = drift[2, 3] = 1.0
     drift[3, 3] = -1.0 / JERK_TIME
     drive = np.zeros((ORDER, 1))
     drive[3, 0] = jerk * np.sqrt(2.0 / JERK_TIME)
-    transition, noise = (np.asarray(matrix, np.float64) for matrix in van_loan_discretization(drift, drive, period))
+    transition, noise = _sampled(drift, drive, period)
     motion = MotionFilter(
         transition=np.triu(transition),  # below the diagonal there is rounding alone
         noise=0.5 * (noise + noise.T),
@@ -121,6 +118,19 @@ def design(period: float, resolution: float, least_lag: int = 1, jerk: float = E
     )
     prior = _settled(motion)
     return motion._replace(behind=_behind(motion, prior), acceleration_variance=_steady_variance(motion, prior))
+
+
+def _sampled(drift: np.ndarray, drive: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and noise over `period` s of x' = drift x + drive w with white noise w of density 1.
+
+    Source: Van Loan, Computing integrals involving the matrix exponential, 1978 (doi 10.1109/TAC.1978.1101743).
+    """
+    from scipy.linalg import expm  # here, for what uses this module without a filter
+
+    both = np.block([[-drift, drive @ drive.T], [np.zeros_like(drift), drift.T]])
+    power = expm(both * period)
+    transition = power[ORDER:, ORDER:].T
+    return transition, transition @ power[:ORDER, ORDER:]
 
 
 def speed_deviation(motion: MotionFilter) -> float:

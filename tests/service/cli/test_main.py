@@ -52,12 +52,15 @@ finally:
 
 
 def test_a_diagnosis_waits_for_no_import_that_it_can_do_without() -> None:
-    """SciPy's signals import its statistics, as filterpy does: together they took an eighth of a diagnosis."""
+    """SciPy's signals import its statistics, as filterpy does: together they took an eighth of a diagnosis. So is it
+    with the estimator's filter, which tries a correction."""
     code = f"""
 import sys
 import drivers.trace.csv_file
 from service.diagnosis.pipeline import diagnose
-from service.diagnosis.documents import document, report
+from service.diagnosis.documents import document, report, worth
+from service.estimator.kalman import design
+design(1e-3, 1e-6)
 print([name for name in {SLOW} if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

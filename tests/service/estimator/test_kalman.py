@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from filterpy.common import van_loan_discretization
 from filterpy.kalman import KalmanFilter
 
 from service.estimator.kalman import (
@@ -56,6 +57,17 @@ def run(motion, measured, gaps):
             update_kernel(motion, track, measured[n])
         keep_kernel(track, gaps[n], slots[n])
     return slots
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_the_model_is_discretised_as_filterpy_does(period):
+    motion = settings(period)
+    drift = np.diag(np.ones(ORDER - 1), 1)
+    drift[-1, -1] = -1.0 / JERK_TIME
+    drive = np.eye(ORDER)[:, [-1]] * EXPECTED_JERK * np.sqrt(2.0 / JERK_TIME)
+    transition, noise = van_loan_discretization(drift, drive, period)
+    np.testing.assert_allclose(motion["transition"], transition, rtol=1e-12, atol=1e-30)
+    np.testing.assert_allclose(motion["noise"], noise, rtol=1e-9, atol=1e-12 * noise.max())
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3], ids=["all there", "30 % lost"])
