@@ -17,11 +17,11 @@ from schemas.words import percent
 from service.identification.evaluation import Evaluation, pooled_by_model
 from service.identification.fit import WITHIN_COLOURED
 from service.identification.pooled import Plain
-from service.identification.weighed_picks import MassLevel
 from service.model.description import in_units_of
 
 if TYPE_CHECKING:
     from service.identification.log_load import Load
+    from service.identification.weighed_picks import MassLevel  # with the estimator, which `identify` does without
 
 AS_IDENTIFIED = (
     2.0  # times what a model left of the logs that it was identified on, from which these logs are unlike them

@@ -67,6 +67,18 @@ print([name for name in {SLOW} if name in sys.modules])
     assert done.stdout.strip() == "[]"
 
 
+def test_an_identification_does_not_wait_for_the_estimator() -> None:
+    """Four fifths of an identification of half a minute of log are imports."""
+    code = """
+import sys
+import drivers.trace.csv_file
+from service.identification import conclusion, of_logs, rigs
+print([name for name in ("scipy.signal", "service.estimator.estimator") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_a_start_hardly_looks_for_rubbish() -> None:
     """At Python's own threshold some hundred times, a twentieth of a diagnosis in all."""
     code = """
