@@ -137,18 +137,27 @@ def _extrapolated(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarra
 
 def _coloured(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarray]:
     """`_extrapolated` of levels none of which is zero."""
-    from scipy.optimize import nnls
-
     middle = np.sqrt(np.array([low * high for low, high in pairwise(_edges(band))]))
-    densities, fits = levels**2, []
-    for corner in np.geomspace(0.2 * band.cutoff_hz, 0.5 / band.period, 60):
-        shape = np.stack([np.ones(BANDS), 1.0 / (1.0 + (middle / corner) ** 2)], axis=1)
-        weights, left = zip(*(nnls(shape / density[:, None], np.ones(BANDS)) for density in densities), strict=True)
-        fits.append((sum(np.square(left)), float(corner), np.array(weights)))
-    _, corner, weights = min(fits, key=lambda fit: fit[0])
+    corners, densities = np.geomspace(0.2 * band.cutoff_hz, 0.5 / band.period, 60), levels**2
+    falling = 1.0 / (1.0 + (middle / corners[:, None]) ** 2)
+    shapes = np.stack([np.ones_like(falling), falling], axis=-1)
+    every, left = _weights(shapes[:, None] / densities[..., None])
+    best = np.argmin(left.sum(axis=1))
     frequency, passed = band.passes
-    inside = weights[:, :1] + weights[:, 1:] / (1.0 + (frequency / corner) ** 2)
+    inside = every[best, :, :1] + every[best, :, 1:] / (1.0 + (frequency / corners[best]) ** 2)
     return np.sqrt(np.mean(inside * passed, axis=1)), inside[:, 0] < MEMORY * densities[:, 0]
+
+
+def _weights(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(..., 2) weights of two positive columns (..., B, 2), none negative, with which they come nearest to ones; and
+    (...) squares that they leave."""
+    gram, moment = columns.swapaxes(-2, -1) @ columns, columns.sum(axis=-2)
+    both = np.linalg.solve(gram, moment[..., None])[..., 0]
+    each = moment[..., None] / np.diagonal(gram, axis1=-2, axis2=-1)[..., None] * np.eye(2)  # one of them alone
+    tried = np.stack([np.where((both < 0).any(axis=-1, keepdims=True), 0.0, both), each[..., 0, :], each[..., 1, :]])
+    left = np.sum(((columns @ tried[..., None])[..., 0] - 1.0) ** 2, axis=-1)
+    best = np.argmin(left, axis=0)[None]
+    return np.take_along_axis(tried, best[..., None], 0)[0], np.take_along_axis(left, best, 0)[0]
 
 
 def _steps(recordings: Sequence[Recording]) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from scipy.signal import periodogram
 
 from tests.service.subject import Band, noise
@@ -194,3 +195,14 @@ def test_a_torque_that_stood_at_its_limit_has_no_colour_to_be_read() -> None:
     assert (inside[0], known[0]) == (alone[0], its[0])
     assert known.tolist()[1:] == [False, False]
     assert inside.tolist()[1:] == [0.0, 0.0]
+
+
+def test_weights_of_two_columns_are_those_of_scipy() -> None:
+    random = np.random.default_rng(4)
+    columns = random.uniform(0.1, 3.0, (50, 4, 5, 2))
+    columns[..., 1] /= np.linspace(0.1, 9.0, 5)  # of some one column is best alone
+    weights, left = noise._weights(columns)
+    expected = [nnls(one, np.ones(5)) for one in columns.reshape(-1, 5, 2)]
+    np.testing.assert_allclose(weights.reshape(-1, 2), [one for one, _ in expected], atol=1e-9)
+    np.testing.assert_allclose(left.ravel(), [rest**2 for _, rest in expected], atol=1e-9)
+    assert 0 < np.count_nonzero(weights == 0.0) < weights.size // 2

@@ -13,7 +13,7 @@ import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, lfilter, lsim, sosfiltfilt
+from scipy.signal import butter, decimate, lfilter, lsim, sosfiltfilt
 
 from schemas.errors import DataError, TraceError
 from schemas.messages import SampleFlag
@@ -185,6 +185,14 @@ def test_the_noise_of_positions_is_told_from_spikes_and_from_the_steps_of_an_enc
     np.testing.assert_allclose(signals.position_noise(still), expected, rtol=0.01)
     rounded = np.where(random.random(still.shape) < 0.5, 1.0 + 1e-16, 1.0 - 1e-16) * (1.0 + still)  # of other units
     np.testing.assert_allclose(signals.position_noise(rounded), expected, rtol=0.01)
+
+
+@pytest.mark.parametrize("period", [2.5e-4, 2e-4, 1.25e-4])
+def test_the_torque_is_thinned_as_scipy_does(period: float) -> None:
+    part = seen(period, 0.5, 0.0)
+    torque = np.random.default_rng(3).standard_normal((len(part.time), 2))
+    expected = decimate(torque, round(1e-3 / period), ftype="fir", axis=0, zero_phase=True)
+    np.testing.assert_allclose(signals.thin(replace(part, torque=torque)).torque, expected, atol=1e-12)
 
 
 def test_thinning_keeps_what_is_slow_of_the_torque() -> None:
