@@ -10,6 +10,8 @@ from schemas.kernels import kernel
 from service.model.dynamics import REST_SPEED
 
 SOFT = 0.05  # rad/s, within which dry friction of a ball joint fades: its seat is compliant
+SETTLED = 20.0  # transitions from zero, where the integral of tanh is a straight line to the last bit
+FLAT = 1e-4  # transitions, over which a mean is the value: as a difference quotient it would be rounding
 
 
 @kernel
@@ -68,14 +70,29 @@ def mean_direction(theta_dot: np.ndarray, transition: float | np.ndarray) -> np.
     """
     if not np.any(transition):
         return np.sign(theta_dot)
-    half = np.empty((len(theta_dot) + 1, theta_dot.shape[1]))
-    half[1:-1] = 0.5 * (theta_dot[1:] + theta_dot[:-1])
-    half[0], half[-1] = theta_dot[0], theta_dot[-1]
-    half /= transition
-    size = np.abs(half)
-    area = size + np.log1p(np.exp(-2.0 * size))  # integral of tanh, up to a constant
-    step = np.diff(half, axis=0)
-    flat = np.abs(step) < 1e-4
-    result = np.diff(area, axis=0) / np.where(flat, 1.0, step)
-    result[flat] = np.tanh((theta_dot / transition)[flat])
+    result = np.empty(theta_dot.shape)
+    _mean_direction(theta_dot, np.broadcast_to(np.asarray(transition, float), theta_dot.shape[1:]), result)
     return result
+
+
+@kernel
+def _area(steps):
+    """Integral of tanh from 0 to `steps`, up to a constant."""
+    size = abs(steps)
+    return size if size > SETTLED else size + math.log1p(math.exp(-2.0 * size))
+
+
+@kernel(nogil=True)
+def _mean_direction(theta_dot, transition, result):
+    """Fill result (N, n)."""
+    count = len(theta_dot)
+    for j in range(theta_dot.shape[1]):
+        width = transition[j]
+        before = theta_dot[0, j] / width
+        area = _area(before)
+        for k in range(count):
+            after = (0.5 * (theta_dot[k + 1, j] + theta_dot[k, j]) if k + 1 < count else theta_dot[k, j]) / width
+            reached, step = _area(after), after - before
+            flat = abs(step) < FLAT
+            result[k, j] = math.tanh(theta_dot[k, j] / width) if flat else (reached - area) / step
+            before, area = after, reached

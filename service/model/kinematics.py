@@ -164,7 +164,7 @@ def inverse_kernel(model, position, theta):
     return REACHED
 
 
-@kernel
+@kernel(nogil=True)
 def _forward_batch(model, theta, position, column, lever):
     poses = np.empty(1, POSE)
     for n in range(len(theta)):
@@ -180,7 +180,7 @@ def _forward_batch(model, theta, position, column, lever):
     return REACHED, -1
 
 
-@kernel
+@kernel(nogil=True)
 def _motion_batch(model, theta, theta_dot, theta_ddot, position, velocity, acceleration):
     poses = np.empty(1, POSE)
     for n in range(len(theta)):

@@ -118,7 +118,7 @@ def _change(gains: list[np.ndarray]) -> float:
     return float(np.max(np.abs(gains[-1] - gains[-2]) / np.max(np.abs(gains[-1]))))
 
 
-@kernel
+@kernel(nogil=True)
 def _smooth(position, step, filter_gain, smoother_gain, theta, theta_dot, theta_ddot):
     half = 0.5 * step * step
     count, joints = position.shape
@@ -580,12 +580,14 @@ def _delayed(values, samples, result):
     """Fill result (N, C)."""
     count, width = values.shape
     weights, first = shift_weights(samples)
+    w0, w1, w2, w3 = weights
     for k in range(count):
-        result[k] = 0.0
-        for tap in range(4):
-            row = min(max(k + first + tap, 0), count - 1)
-            for i in range(width):
-                result[k, i] += weights[tap] * values[row, i]
+        a, b, c, d = k + first, k + first + 1, k + first + 2, k + first + 3
+        if a < 0 or d >= count:
+            a, b = min(max(a, 0), count - 1), min(max(b, 0), count - 1)
+            c, d = min(max(c, 0), count - 1), min(max(d, 0), count - 1)
+        for i in range(width):
+            result[k, i] = w0 * values[a, i] + w1 * values[b, i] + w2 * values[c, i] + w3 * values[d, i]
 
 
 def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:

@@ -53,7 +53,7 @@ def _two_masses(acceleration, link, gears, step, substeps, angle, speed, change)
     demand, whole, drag, spring = link
     half, stiffness, damping, motor = gears
     count, width = angle.shape
-    e, v, mean, inertia = np.empty(width), np.zeros(width), np.empty(width), np.empty(width)
+    e, v, total, light = np.empty(width), np.zeros(width), np.empty(width), np.empty(width)  # light: one over inertia
     lost = np.zeros(width, np.bool_)
     for i in range(width):
         need = _of_link(whole[0], motor[i]) * acceleration[0] + demand[0]
@@ -63,8 +63,8 @@ def _two_masses(acceleration, link, gears, step, substeps, angle, speed, change)
         following = min(k + 1, count - 1)
         spring_now, drag_now = spring[k], drag[k]
         for i in range(width):
-            angle[k, i], speed[k, i], mean[i] = e[i], v[i], 0.0
-            inertia[i] = _of_link(whole[k], motor[i])
+            angle[k, i], speed[k, i], total[i] = e[i], v[i], 0.0
+            light[i] = 1.0 / _of_link(whole[k], motor[i])
         for s in range(substeps):
             share = s / substeps
             a = acceleration[k] * (1.0 - share) + acceleration[following] * share
@@ -74,12 +74,12 @@ def _two_masses(acceleration, link, gears, step, substeps, angle, speed, change)
                 other = stiffness[i] * (-e[i] + half[i]) - damping[i] * v[i]
                 contact = one if (half[i] == 0.0) | ((-e[i] > half[i]) & (one > 0.0)) else 0.0
                 contact = other if (half[i] != 0.0) & (-e[i] < -half[i]) & (other < 0.0) else contact
-                relative = (contact - h - spring_now * e[i] - drag_now * v[i]) / inertia[i] - a
-                mean[i] += relative / substeps
+                relative = (contact - h - spring_now * e[i] - drag_now * v[i]) * light[i] - a
+                total[i] += relative
                 v[i] += relative * fine
                 e[i] += v[i] * fine
         for i in range(width):
-            change[k, i] = mean[i]
+            change[k, i] = total[i] / substeps
             lost[i] |= not abs(e[i]) < LOST
     for i in range(width):
         if lost[i]:
