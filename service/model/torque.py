@@ -15,6 +15,8 @@ from service.model.hypothesis import Hypothesis, Term, inside_of
 from service.model.scene import Scene
 from service.model.signals import Band, delayed, lowpass
 
+PART = 16  # columns that are filtered at a time: those of an arm at full rate are most of what a fit takes
+
 
 def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
     """Torque (N, n) N m at the joints."""
@@ -161,11 +163,11 @@ def _of_motion(scene: Scene, hypothesis: Hypothesis, band: Band) -> np.ndarray:
     key = (band, None if wanted is None else wanted.tobytes(), *places)
     kept = scene.recording.in_band
     if (found := kept.get(key)) is None:
-        rigid = scene.recording.rigid.columns
-        rubs = scene.sliding[:, None] * scene.mechanism.rows.T
-        columns = np.concatenate([rigid if wanted is None else rigid[..., wanted], rubs], axis=-1)
         kept.clear()  # before the next are made: they are large
-        found = kept[key] = band(reported(scene, hypothesis, columns))
+        rigid = scene.recording.rigid.columns
+        columns = [rigid if wanted is None else rigid[..., wanted], scene.sliding[:, None] * scene.mechanism.rows.T]
+        parts = [part for one in columns for part in np.split(one, range(PART, one.shape[-1], PART), axis=-1)]
+        found = kept[key] = np.concatenate([band(reported(scene, hypothesis, part)) for part in parts], axis=-1)
     return found
 
 
