@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations, groupby, pairwise
+from itertools import chain, combinations, groupby, pairwise, repeat
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -25,6 +25,8 @@ PROMISE = 0.5  # of what could be gained, that something has to promise on data 
 COUPLES = 40  # pairs of effects asked on data left out
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
 ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
+
+Prior = np.ndarray | float
 
 
 @dataclass(frozen=True)
@@ -176,60 +178,106 @@ def columns_of(
     return reported(scene, hypothesis, effect.columns(scene, joint, grid))
 
 
+@dataclass(frozen=True)
+class _Fold:
+    """What candidates and, behind them, the residual are beyond the P tangents of a hypothesis, which the other folds
+    project out of them. As products of those that are asked for: all of them at once would be the most memory of all.
+
+    gram: (C, C) products of candidates on the fold; every: on all folds. moment: (C + 1,) with the residual, on the
+    fold; rest: on the others. near: (C + 1, P) with the tangents, on the fold; far: on the others. map_: (C + 1, P)
+    weights of the tangents in each, on the others. back: (C + 1, P) products with the tangents of what these leave.
+    """
+
+    gram: np.ndarray
+    every: np.ndarray
+    moment: np.ndarray
+    rest: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    map_: np.ndarray
+    back: np.ndarray
+
+    @classmethod
+    def of(cls, gram: np.ndarray, every: np.ndarray, sums: np.ndarray, others: np.ndarray, prior: Prior) -> _Fold:
+        """sums: (P + 1, P + C + 1) of tangents and residual with tangents, candidates and residual; others: of the
+        other folds. prior: (P, P) information on the free parameters."""
+        own = len(sums) - 1
+        map_ = solve(others[:own, :own] + prior, others[:own, own:])
+        back = sums[:own, :own] @ map_ - sums[:own, own:]
+        near, far = np.ascontiguousarray(sums[:own, own:].T), np.ascontiguousarray(others[:own, own:].T)
+        return cls(gram, every, sums[-1, own:], others[-1, own:], near, far, map_.T.copy(), back.T.copy())
+
+    def training(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(G, k, k) products on the other folds of each row of candidates (G, k) among themselves, and (G, k) with the
+        residual."""
+        far = self.far[chosen]
+        gram = _among(self.every, chosen) - _among(self.gram, chosen) - far @ self.map_[chosen].swapaxes(1, 2)
+        return gram, self.rest[chosen] - far @ self.map_[-1]
+
+    def left_out(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same on the fold."""
+        near, map_ = self.near[chosen], self.map_[chosen]
+        gram = _among(self.gram, chosen) + map_ @ self.back[chosen].swapaxes(1, 2) - near @ map_.swapaxes(1, 2)
+        return gram, self.moment[chosen] + map_ @ self.back[-1] - near @ self.map_[-1]
+
+    @property
+    def nothing(self) -> float:
+        """Squares of the residual that the tangents leave of it on the fold."""
+        return float(self.moment[-1] + self.map_[-1] @ self.back[-1] - self.near[-1] @ self.map_[-1])
+
+    @property
+    def told(self) -> np.ndarray:
+        """(C,) squares of each candidate that the tangents leave of it on the other folds."""
+        return np.diag(self.every) - np.diag(self.gram) - np.sum(self.far * self.map_, axis=1)[:-1]
+
+
 class Dictionary:
     """Normal equations of the present hypothesis's tangents, every candidate's regressors, and the residual."""
 
-    def __init__(self, regressors: Regressors, fitted: Fit, prior: np.ndarray | float = 0.0):
+    def __init__(self, regressors: Regressors, fitted: Fit, prior: Prior = 0.0):
         """prior: (P, P) information on the free parameters."""
         regressors.along(fitted.hypothesis)
         self.index, self.effects, self.low = regressors.index, regressors.effects, regressors.low
-        own = fitted.moving
-        self.own = own[0].shape[1]
-        near = [np.concatenate([m, r[:, None]], axis=1) for m, r in zip(own, fitted.residuals, strict=True)]
+        near = [np.column_stack([m, r]) for m, r in zip(fitted.moving, fitted.residuals, strict=True)]
+        own, folds = near[0].shape[1] - 1, regressors.split.folds
+        sums = np.zeros((folds, own + 1, own + len(self.low) + 1))
 
-        size = self.own + len(self.low) + 1
-        grams = np.empty((regressors.split.folds, size, size))
-
-        def one(gram: np.ndarray, pieces: list[Piece], columns: np.ndarray) -> None:
-            square, cross = np.zeros((self.own + 1, self.own + 1)), np.zeros((self.own + 1, len(self.low)))
+        def one(mine: np.ndarray, pieces: list[Piece]) -> None:
             for piece in pieces:
-                mine = near[piece.recording][piece.rows]
-                square += mine.T @ mine
-                cross[:, regressors.reach[piece.joint]] += mine.T @ piece.columns
-            _assemble(gram, self.own, square, cross, columns)
+                rows = near[piece.recording][piece.rows]
+                mine[:, own + regressors.reach[piece.joint]] += rows.T @ piece.columns
+                square = rows.T @ rows
+                mine[:, :own] += square[:, :own]
+                mine[:, -1] += square[:, -1]
 
-        _done(THREADS.map(one, grams, _by_fold(regressors.pieces, regressors.split.folds), regressors.grams))
-        self._reduce(grams, prior)
-
-    def _reduce(self, grams: np.ndarray, prior: np.ndarray | float) -> None:
-        """Project the hypothesis's own tangents out of everything, a fold left out at a time. What is left of `grams`
-        takes their place: many large matrices at once would be the most memory of all."""
-        own, every = self.own, grams.sum(axis=0)
-        self.left_out = grams[:, own:, own:]
-        self.training = np.empty(self.left_out.shape)
-
-        def one(gram: np.ndarray, left_out: np.ndarray, training: np.ndarray) -> None:
-            train = every - gram
-            map_ = solve(train[:own, :own] + prior, train[:own, own:])
-            cross = gram[own:, :own] @ map_
-            left_out -= cross
-            left_out -= cross.T
-            left_out += map_.T @ gram[:own, :own] @ map_
-            np.subtract(train[own:, own:], train[own:, :own] @ map_, out=training)
-
-        _done(THREADS.map(one, grams, self.left_out, self.training))
-        known = np.diag(self.training.sum(axis=0))[:-1] <= 1e-9 * np.diag(every)[own:-1]
-        self.training[:, :-1][:, known] = self.training[:, :, :-1][:, :, known] = 0.0  # to rounding a sum of its own
-        self.nothing = float(self.left_out[:, -1, -1].sum())
+        _done(THREADS.map(one, sums, _by_fold(regressors.pieces, folds)))
+        every, total = np.asarray(sum(regressors.grams)), sums.sum(axis=0)
+        self.folds = list(
+            THREADS.map(lambda gram, mine: _Fold.of(gram, every, mine, total - mine, prior), regressors.grams, sums)
+        )
+        # to rounding sums of its own
+        self.known = np.asarray(sum(fold.told for fold in self.folds)) <= 1e-9 * np.diag(every)
+        self.nothing = sum(fold.nothing for fold in self.folds)
 
     def losses(self, several: Sequence[Sequence[Candidate]]) -> np.ndarray:
         """Squared residual on the folds left out, with some candidates added inside their limits; for many such."""
-        result = np.empty(len(several))
+        result = np.full(len(several), self.nothing)
         for members, chosen in _alike([self._columns(*candidates) for candidates in several]):
-            weight = within(_among(self.training, chosen), self.training[:, chosen, -1], self.low[chosen], np.inf)
-            product = (_among(self.left_out, chosen) @ weight[..., None])[..., 0]
-            result[members] = self.nothing + np.sum(weight * (product - 2 * self.left_out[:, chosen, -1]), axis=(0, 2))
+            result[members] += sum(THREADS.map(self._gain, self.folds, repeat(chosen)))
         return result
+
+    def _gain(self, fold: _Fold, chosen: np.ndarray) -> np.ndarray:
+        """(G,) squares that rows of candidates (G, k) add on a fold, most of them less than nothing."""
+        new = ~self.known[chosen]
+        (gram, moment), (square, product) = fold.training(chosen), fold.left_out(chosen)
+        gram *= new[:, :, None] & new[:, None, :]
+        weight = within(gram, moment * new, self.low[chosen], np.inf)
+        return np.sum(weight * ((square @ weight[..., None])[..., 0] - 2 * product), axis=1)
+
+    def _left_out(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(G, k, k) products of rows of candidates (G, k) and (G, k) with the residual, on all folds together."""
+        grams, moments = zip(*(fold.left_out(chosen) for fold in self.folds), strict=True)
+        return np.asarray(sum(grams)), np.asarray(sum(moments))
 
     def ranking(
         self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
@@ -250,9 +298,10 @@ class Dictionary:
         every = [candidate for scored in self._options(taken, joints, allows).values() for _, candidate in scored]
         own = [self._columns(candidate) for candidate in every]
         pairs = [(a, b) for a, b in combinations(range(len(every)), 2) if every[a].effect is not every[b].effect]
-        total, rough = self.left_out.sum(axis=0), np.empty(len(pairs))
+        (total,), (moments,) = self._left_out(np.arange(len(self.low))[None])
+        rough = np.empty(len(pairs))
         for members, chosen in _alike([own[a] + own[b] for a, b in pairs]):
-            moment = total[chosen, -1]
+            moment = moments[chosen]
             gain = np.sum(moment * solve(_among(total, chosen), moment), axis=1)
             rough[members] = 2.0 * chosen.shape[1] - gain
         best = [(every[a], every[b]) for a, b in (pairs[place] for place in np.argsort(rough, kind="stable")[:COUPLES])]
@@ -286,11 +335,10 @@ class Dictionary:
 
     def _dead(self, candidate: Candidate) -> bool:
         """Whether all data together leave nothing of an effect on one of its joints."""
-        total = np.sum(self.left_out, axis=0)
         chosen = [self.index[candidate.effect, joint, candidate.nonlinear] for joint in candidate.joints]
         every = np.concatenate(chosen)
         low = self.low[every]
-        weight = within(total[np.ix_(every, every)], total[every, -1], low, np.inf)
+        weight = within(*self._left_out(every[None]), low, np.inf)[0]
         parts = np.split(np.isfinite(low) & (weight <= low), len(chosen))
         bounded = np.split(np.isfinite(low), len(chosen))
         return any(b.any() and part[b].all() for part, b in zip(parts, bounded, strict=True))
@@ -307,18 +355,9 @@ def _alike(columns: Sequence[list[int]]) -> Iterator[tuple[list[int], np.ndarray
         yield members, np.array([columns[place] for place in members], int)
 
 
-def _among(grams: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """(..., G, k, k) of Gram matrices (..., C, C): each row of columns chosen (G, k) among themselves."""
-    return grams[..., chosen[:, :, None], chosen[:, None, :]]
-
-
-def _assemble(gram: np.ndarray, own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> None:
-    """Fill one Gram matrix, in the order own tangents, candidates, residual. near: of the first and the last."""
-    ends = np.r_[0:own, len(gram) - 1]
-    gram[np.ix_(ends, ends)] = near
-    gram[ends, own:-1] = cross
-    gram[own:-1, ends] = cross.T
-    gram[own:-1, own:-1] = columns
+def _among(gram: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(G, k, k) of a Gram matrix (C, C): each row of columns chosen (G, k) among themselves."""
+    return gram[chosen[:, :, None], chosen[:, None, :]]
 
 
 def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tuple[float, Candidate]:
