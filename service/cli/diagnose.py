@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.heap import share_heap
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import console, say_headline
 from service.cli.reading import files_in, reading
@@ -55,6 +56,7 @@ def command(
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
+    share_heap()
     from schemas.axes_description import load_description, save_description
     from schemas.errors import DataError
     from schemas.files import check_apart, make_folder, write_text
