@@ -140,5 +140,6 @@ def index() -> str:
         "are given as ratios to a reference in the same run.\n\n"
     )
     return text + table(
-        ["Page", "Content"], ([f"[{bench.title}]({name}.md)", cell(bench.about.split("\n\n")[0])] for name, bench in benches().items())
+        ["Page", "Content"],
+        ([f"[{bench.title}]({name}.md)", cell(bench.about.split("\n\n")[0])] for name, bench in benches().items()),
     )
