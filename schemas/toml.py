@@ -23,6 +23,10 @@ _QUOTED = re.compile(
     r'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*+"?|' r"'''.*?(?:'''|\Z)|'[^'\n]*+'?|#[^\n]*+", re.DOTALL
 )  # strings and comments; one that is open goes to the end, once and not again from each quote in it
 MOST_SHOWN = 100  # characters of a value in a message
+_TWICE = re.compile(
+    r"(?:Cannot overwrite a value|(?:Cannot declare|Duplicate inline table key) (?P<key>.*)) "
+    r"\(at (?:line (?P<line>\d+)|end of document)"
+)  # in the words of `tomllib`
 _LONG_KEY = re.compile(rf"(?<![\w+:-])(?:[\w+:-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
@@ -48,12 +52,26 @@ def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:
     except UnicodeDecodeError as cause:
         raise error(f"{path}: not a text file (byte {cause.start} is not UTF-8)") from cause
     except ValueError as cause:  # TOMLDecodeError, and integers of more digits than Python reads
-        raise error(f"{path}: not TOML: {cause}") from cause
+        raise error(f"{path}: {_twice(str(cause), text) or f'not TOML: {cause}'}") from cause
     except RecursionError:
         raise error(too_deep) from None
     if _depth(values) > MAX_DEPTH:
         raise error(too_deep)
     return values
+
+
+def _twice(found: str, text: str) -> str:
+    """Which key or table of `text` is there a second time, and where; empty if `found`, by the parser, is another
+    fault."""
+    fault = _TWICE.match(found)
+    if fault is None:
+        return ""
+    lines = text.rstrip().split("\n")
+    number = int(fault["line"] or len(lines))
+    line = lines[number - 1].strip()
+    key = re.findall(r"'([^']*)'", fault["key"] or "")  # else the key is in the line, unless its value has several
+    name = ".".join(key) or (line if line[0] == "[" else line.partition("=")[0].strip() if "=" in line else "a key")
+    return f"line {number}: {name} is there a second time; give each key and each table once"
 
 
 def _depth(values: Any) -> int:

@@ -96,7 +96,7 @@ ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1
         ("gear_ratio = 5", "gear_ratio = 5\n[columns]\nheader_line = 1e20", r"columns\.header_line: .*got 1e\+20"),
         ("gravity_mps2 = 9.81", 'kind = "scara"', 'kind = "scara": a Delta robot is needed'),
         ("gravity_mps2 = 9.81", "gravity_mps2 = ", r"not TOML: .*line 3"),
-        ("gravity_mps2 = 9.81", 'name = "twice"', r"not TOML: "),
+        ("gravity_mps2 = 9.81", 'name = "twice"', r"line \d+: name is there a second time"),
         ("gear_ratio = 5", "gear_ratio = 5\n[columns]\nseparator = ';;'", r"columns\.separator: .*\(got ';;'\)"),
         ("# Witt", "\n[[effect]]\nname = 'x'\njoints = [0]\nparameters = {}\n#", r"effect\.0\.joints\.0: .*got 0"),
     ],
@@ -106,6 +106,23 @@ def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, message: str
     with pytest.raises(RobotError, match=rf"r\.toml: (?:{message})") as caught:
         load(tmp_path, TEXT.replace(old, new, 1))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = 1\nb = 2\na = 3\n", "line 3: a is there"),
+        ("a = 1\n\na = 3", "line 3: a is there"),
+        ("[x]\nb = 1\n[y]\n[x]\n", "line 4: x is there"),
+        ("[x.y]\n[[x.y]]\n", r"line 2: \[\[x\.y\]\] is there"),
+        ("a = 1\na = {b = 1, b = 2}\n", "line 2: b is there"),
+        ("a = 1\na = [\n1,\n]\n", "line 4: a key is there"),
+    ],
+)
+def test_a_key_that_is_there_twice_is_named_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "r.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(RobotError, match=rf"r\.toml: {said} a second time"):
+        load_robot(tmp_path / "r.toml")
 
 
 @pytest.mark.parametrize(
