@@ -23,6 +23,7 @@ MAX_EXPANSION = 100  # times its size that a packed log may unpack to: measured 
 FREE_EXPANSION_BYTES = 64 * MIB  # that any may unpack to: a small log of a robot at rest packs well
 PART = ".part-"  # in front of the name of a file that is not complete, and of a number
 MOST_NAME = 200  # letters of a file's own name in that: file systems end at 255 bytes
+_MADE: list[Path] = []  # by `make_folder`, outer before inner
 
 
 def opened(path: Path, error: type[DeltatwinError]) -> BufferedReader:
@@ -110,11 +111,21 @@ def make_folder(path: Path) -> None:
     Raises:
         StorageError: it cannot be made, or nothing can be written in it.
     """
+    missing = [one for one in (path, *path.parents) if not one.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{path}: {error.strerror}") from error
+    finally:
+        _MADE.extend(one.absolute() for one in reversed(missing) if one.is_dir())
     check_folder(path)
+
+
+def remove_unused_folders() -> None:
+    """Remove the folders that `make_folder` has made and into which nothing was written."""
+    while _MADE:
+        with suppress(OSError):  # it is not empty, or not there any more
+            _MADE.pop().rmdir()
 
 
 def check_apart(path: Path, *inputs: Path) -> None:

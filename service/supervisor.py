@@ -110,8 +110,8 @@ class Process:
         self._process.wait()
 
     def last_words(self) -> str:
-        """The last line it said."""
-        lines = self.log.read_text().strip().splitlines()
+        """The last line it said, but for what it says comes next."""
+        lines = [line for line in self.log.read_text().strip().splitlines() if not line.startswith("next: ")]
         return lines[-1].removeprefix("deltatwin: ") if lines else "it printed nothing"
 
 

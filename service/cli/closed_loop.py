@@ -122,7 +122,8 @@ def command(
         runs = [_run(subject, seed, motion, name, feed, lost, standing, progress) for name, feed in feeds.items()]
     judged = [run for run in runs if run.name != lost]
     if known.corrected is not None:
-        headline = verdict_of_correction(runs, known.named, _left_out(known.corrected), str(out))
+        described = identified or out / "identified.toml", corrected or out / "corrected.toml"
+        headline = verdict_of_correction(runs, known.named, _left_out(known.corrected), described)
         shown, compared = runs, ratio(runs[1], runs[2])
     else:
         headline, compared = verdict_of_models(judged), ratio(runs[0], judged[-1])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import Table, as_json, console, quantiles, say_headline, table
+from service.cli.output import Table, apart_from, as_json, console, quantiles, say_headline, table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -136,7 +136,8 @@ def _headline(results: dict[str, Any]) -> Headline:
         f"{counted(lost, 'sample') if lost else 'no sample'} lost.",
         percent(1 - full / book),
         f"smaller torque error, {significant(book)} → {significant(full)} N m rms (M_KH → full model with payload)",
-        "describe your robot with `deltatwin init`, read its logs with `deltatwin import LOG --robot FILE`.",
+        "describe your own robot, then read its logs with `deltatwin import`:",
+        command=("init", "--out", apart_from("robot.toml", *Path().glob("robot*.toml"))),
     )
 
 

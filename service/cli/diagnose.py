@@ -9,7 +9,7 @@ import typer
 
 from service.cli.heap import share_heap
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import console, say_headline
+from service.cli.output import console, read_by, say_headline
 from service.cli.reading import files_in, reading
 
 
@@ -61,7 +61,7 @@ def command(
     from schemas.errors import DataError
     from schemas.files import check_apart, make_folder, write_text
     from service.diagnosis.documents.document import corrected, document, frequency_response, made_from
-    from service.diagnosis.documents.headline import headline
+    from service.diagnosis.documents.headline import Given, headline
     from service.diagnosis.documents.online_text import noted
     from service.diagnosis.documents.report import write_report
     from service.diagnosis.documents.text import paragraphs
@@ -99,7 +99,7 @@ def command(
         save_description(corrected(findings), target, template=robot)
         if tried is not None:
             write_text(target, noted(target.read_text(encoding="utf-8"), tried))
-        said = headline(result, target, columns)
+        said = headline(result, Given(target, traces, test or [], read_by(columns, effects)))
         write_report(findings, result, out / "report.html", said)
         if pdf:
             status.update("printing the report")
@@ -107,10 +107,8 @@ def command(
     if json:
         typer.echo(result.model_dump_json(indent=1, by_alias=True))
         return
-    screen = console()
     for group in paragraphs(result):
-        screen.print("\n".join(group), highlight=False, markup=False)
-        screen.print()
+        print("\n".join(group), end="\n\n")
     written = "diagnosis.json, corrected.toml, report.html" + (", report.pdf" if pdf else "")
     typer.echo(f"wrote {written} in {out}")
     say_headline(said)

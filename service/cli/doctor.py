@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import as_json, console, table
+from service.cli.output import as_json, console, say_next, table
 
 SIGNS = {True: "[green]yes[/green]", False: "[yellow]no[/yellow]", None: "?"}
 
@@ -60,4 +60,7 @@ def command(
         + (" Live roles run in real time." if live else " Live roles run, but their timing is best effort."),
         highlight=False,
     )
-    typer.echo(f"wrote {bundle}" if bundle is not None else "next: deltatwin demo")
+    if bundle is None:
+        say_next("demo")
+    else:
+        print(f"wrote {bundle}\nnext: read {bundle}, then attach it to your bug report.")

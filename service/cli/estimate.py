@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
+from service.cli.output import conclude
 from service.stopping import end_at_once, interrupted, terminate_as_interrupt
 
 
@@ -54,3 +55,4 @@ def command(
             run(description, bus, standing, interrupted, keeper)
         except KeyboardInterrupt:
             typer.echo("estimate: stopped", err=True)
+    conclude("To record samples and answers, run the monitor as well:", "monitor", "--robot", robot)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import as_json, console, say_next, table
+from service.cli.output import as_json, conclude, console, table
 
 
 def command(
@@ -49,9 +49,10 @@ def command(
         said = {True: "[green]holds[/green]", False: "[red]fails[/red]"}
         rows = [(said[check.holds], check.claim, check.measured, check.bound) for check in checks]
         console().print(table(("", "claim", "measured", "bound"), rows, "EtherCAT demonstration", figures=slice(0)))
-        typer.echo(f"recorded in {out}")
         held = sum(check.holds for check in checks)
-        typer.echo(f"{held} of {len(checks)} claims hold.")
-        say_next("tap", "INTERFACE", "--robot", "FILE")
+        conclude(
+            f"recorded in {out}\n{held} of {len(checks)} claims hold.", "tap", "INTERFACE", "--robot", "ROBOT.toml",
+            own="INTERFACE: the network interface on your bus; ROBOT.toml: your robot with its drives",
+        )  # fmt: skip
     if not all(check.holds for check in checks):
         raise typer.Exit(MISSED)

@@ -10,10 +10,12 @@ import typer
 
 from schemas.words import counted
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import Table, as_json, conclude, console, read_by, table
+from service.cli.output import Table, apart_from, as_json, conclude, console, read_by, table
 from service.cli.reading import files_in, prediction_files, reading
 
 if TYPE_CHECKING:
+    from schemas.axes_description import Description
+    from schemas.trace import Trace
     from service.identification.evaluation import Evaluation, Moments
 
 
@@ -40,6 +42,7 @@ def command(
     from schemas.axes_description import load_description
     from schemas.questions import Question
     from service.identification.conclusion import of_evaluation
+    from service.identification.copies import distinct
     from service.identification.evaluation import evaluate
     from service.identification.held import told_of_held
     from service.model.description import in_units_of
@@ -68,14 +71,30 @@ def command(
         if result.events:
             print(_events(result, unit))
     said, explained = of_evaluation(description, results)
+    traces = [trace.path for trace in distinct([result.trace for result in results])]
+    described, read = ("--robot", robot, *read_by(effects=effects)), read_by(columns)
     if description.identified is None:
-        conclude(said, "identify", *traces, "--robot", robot, *read_by(columns), "--out", "identified.toml")
+        _conclude_unidentified(said, description, robot, [result.trace for result in results], read)
     elif explained and description.answering(Question.LEARNING) is None:
-        conclude(said, "rollout", *traces, "--robot", robot, *read_by(columns))
+        conclude(said, "rollout", *traces, *described, *read)
     elif explained:
-        conclude(said, "estimate", "--robot", robot)
+        conclude(said, "estimate", *described)
     else:
-        conclude(said, "diagnose", *traces, "--robot", robot, *read_by(columns), "--out", "diagnosis")
+        conclude(said, "diagnose", *traces, *described, *read, "--out", "diagnosis")
+
+
+def _conclude_unidentified(
+    said: str, description: Description, robot: Path, logs: list[Trace], read: tuple[object, ...]
+) -> None:
+    """End with `identify`, or if that would refuse the logs with a motion that it would take."""
+    from service.identification.of_logs import refusal
+
+    if refused := refusal(description, logs):
+        options = ("--robot", robot, "--for", "identify", "--assume-limits", "--out", "motion.csv")
+        conclude(f"{said} Not enough to identify it: {refused}.", "plan-motion", *options)
+    else:
+        out = apart_from("identified.toml", robot)
+        conclude(said, "identify", *(log.path for log in logs), "--robot", robot, *read, "--out", out)
 
 
 def _csv_name(path: Path) -> str:

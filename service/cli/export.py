@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.machine_files import SEE, conclude_mjcf
 from service.cli.options import OwnEffects, refuse
+from service.cli.output import read_by, say_next
 
 if TYPE_CHECKING:
     from schemas.robot import Robot
@@ -110,7 +112,7 @@ def command(
         _unit(description, out, rate, name, fmi, nominal)
         return
     if to is Format.sheet:
-        _sheet(description, out, log or [])
+        _sheet(description, robot, effects, out, log or [])
         return
     from service.rollout.simulator_files import to_mjcf, to_urdf
 
@@ -118,6 +120,7 @@ def command(
     if to is Format.urdf:
         write_text(out, to_urdf(description))
         print(f"wrote {out}: base and active links; a URDF cannot contain a closed chain")
+        print(SEE)
         return
     made = to_mjcf(description)
     made.spec.compile()
@@ -136,6 +139,7 @@ def command(
             print(f"  Measurement turns true values into those of a log: {', '.join(made.measured)}")
     for name, why in made.left_out.items():
         print(f"{name} is left out: {why}", file=sys.stderr)
+    conclude_mjcf(out, len(made.left_out))
 
 
 def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool, single: bool) -> None:
@@ -160,10 +164,8 @@ def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool, single
         )
     if single:
         print(f"in single precision: {ERROR}")
-    print(
-        f"next: gcc -O2 -std=c99 -ffp-contract=off -c {out / name}.c, link with -lm, and call {name}_init, then "
-        f"{name}_step each cycle"
-    )
+    print(f"Compile it, link it with -lm, call {name}_init once, then {name}_step each cycle:")
+    say_next("-O2", "-std=c99", "-ffp-contract=off", "-c", f"{out / name}.c", program="gcc")
 
 
 def _block(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> None:
@@ -179,10 +181,10 @@ def _block(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> No
     for effect, why in project.left_out.items():
         print(f"{effect} is left out: {why}", file=sys.stderr)
     print(f"one sample every {1e6 / rate:g} us; function block {name}, {len(project.pous) - 1} functions")
-    print(f"next: import {out / name}.xml (CODESYS, TwinCAT: PLCopenXML), and call the block once a cycle")
+    print(f"next: import {out / name}.xml (CODESYS, TwinCAT: PLCopenXML), and call the block once per cycle.")
 
 
-def _sheet(robot: Robot, out: Path, logs: list[Path]) -> None:
+def _sheet(robot: Robot, path: Path, effects: Path | None, out: Path, logs: list[Path]) -> None:
     """`--to sheet`."""
     from schemas.files import make_folder, write_text
     from service.cli.reading import reading
@@ -191,8 +193,14 @@ def _sheet(robot: Robot, out: Path, logs: list[Path]) -> None:
     make_folder(out.parent)
     write_text(out, to_sheet(robot, list(reading(logs, robot, None, "reading"))))
     print(f"wrote {out}")
-    if not logs:
-        print("next: --log with held-out logs shows the residual torque after each group of parameters")
+    if logs:
+        print("next: enter the parameters of the first column in the controller, and compare its units.")
+        return
+    print("With held-out logs it also shows the residual torque after each group of parameters:")
+    say_next(
+        "export", path, *read_by(effects=effects), "--to", "sheet", "--log", "LOG", "--out", out,
+        own="LOG: a log of this robot that was not used to identify it",
+    )  # fmt: skip
 
 
 def _unit(robot: Robot, out: Path, rate: float, name: str, fmi: int, nominal: bool) -> None:
@@ -207,3 +215,4 @@ def _unit(robot: Robot, out: Path, rate: float, name: str, fmi: int, nominal: bo
     print(f"wrote {out}: FMI {fmi}.0, co-simulation, a step every {1e6 / rate:g} us, one instance per process")
     for effect, why in twin.left_out.items():
         print(f"{effect} is left out: {why}", file=sys.stderr)
+    print(f"next: import {out} in your simulator, and connect the robot's samples to its inputs.")

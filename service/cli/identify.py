@@ -93,10 +93,11 @@ def command(
     screen.print(_residuals(result.fit, [path.name for path in traces], description))
     for warning in result.warnings:
         typer.secho(f"warning: {warning}", fg="yellow")
-    typer.echo(f"wrote {out}")
+    print(f"wrote {out}")
     said, explained = of_fit(result.fit)
     if explained:
-        conclude(said, "evaluate", "OTHER_LOG", "--robot", out, *read_by(columns))
+        own = "OTHER_LOG: a log of this robot that was not used here"
+        conclude(said, "evaluate", "OTHER_LOG", "--robot", out, *read_by(columns), own=own)
     else:
         conclude(said, "diagnose", *traces, "--robot", robot, *read_by(columns), "--out", "diagnosis")
 

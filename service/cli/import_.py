@@ -124,7 +124,8 @@ def command(
     joints = counted(len(proposal.columns["position"]), "joint")
     for log, count in zip(logs, samples, strict=True):
         typer.echo(f"{log}: {counted(count, 'sample')}, {joints}; mapping in {mapping}")
-    say_next("diagnose", *logs, "--robot", robot or "ROBOT.toml", "--out", "diagnosis")
+    own = "" if robot else "ROBOT.toml: the description of your robot, which `deltatwin init` writes"
+    say_next("diagnose", *logs, "--robot", robot or "ROBOT.toml", "--out", "diagnosis", own=own)
 
 
 def _ask(proposal: Proposal) -> None:

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from service.interview import Question
 
 
+OWN = "YOUR_LOG: a log of this machine, as its controller or its scope writes it"
+
+
 def command(
     out: Annotated[Path, typer.Option(help="Description to write (TOML)")] = Path("robot.toml"),
     urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="URDF of a serial arm, instead of a Delta")] = None,
@@ -50,7 +53,7 @@ def command(
     answers = _asked(questions, _given(answer or [], questions), lambda known: fault(questions, known, out, urdf))
     text = write_up(questions, answers, out, urdf)
     write_text(out, text)
-    conclude(f"wrote {out}: {len(answers)} answers.", "import", "YOUR_LOG", "--robot", out)
+    conclude(f"wrote {out}: {len(answers)} answers.", "import", "YOUR_LOG", "--robot", out, own=OWN)
 
 
 def _given(answers: Sequence[str], questions: Sequence[Question]) -> dict[str, str]:

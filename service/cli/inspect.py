@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
 from service.cli.output import apart_from, as_json, conclude, console, read_by, say, table
+
+if TYPE_CHECKING:
+    from schemas.axes_description import Description
+    from schemas.trace import Trace
 
 ROWS_SHOWN = 12  # changes of a capture
 STAMPS = ("rate_hz", "jitter_std_s", "jitter_p99_s", "jitter_max_s", "gaps", "repeats", "backwards")
@@ -45,14 +50,18 @@ def command(
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     failed, surveys = False, []
+    following = _Following(description)
     for path in traces:
         try:
             capture = path.name.endswith(CAPTURE_ENDINGS)
             with console(stderr=True).status(f"reading {path.name}"):
                 if capture:
                     surveys.append(survey_capture(path, description and as_delta(description, Question.FIELDBUS)))
+                    following.captures.append(path)
                 else:
-                    surveys.append(survey(read_trace(path, description, mapping)))
+                    trace = read_trace(path, description, mapping)
+                    surveys.append(survey(trace))
+                    following.add(path, trace, surveys[-1])
         except TraceError as error:
             failed = True
             surveys.append({"path": str(path), "error": str(error)})
@@ -64,29 +73,62 @@ def command(
     if json:
         typer.echo(as_json("inspection", {"traces": surveys}))
     else:
-        _conclude(surveys, traces, robot, columns)
+        _conclude(surveys, traces, robot, columns, following)
     if failed:
         raise typer.Exit(1)
 
 
-def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | None, columns: object) -> None:
-    from drivers.trace.survey import is_of_use
+class _Following:
+    """What the next command can do with the logs. of_use: those that a model of `description` can be fitted to.
+    captures: of a bus."""
+
+    def __init__(self, description: Description | None) -> None:
+        from service.identification.of_logs import Asked
+
+        self._asked = None if description is None else Asked(description)
+        self.of_use: list[Path] = []
+        self.captures: list[Path] = []
+
+    def add(self, path: Path, trace: Trace, figures: dict[str, Any]) -> None:
+        """figures: what `survey` says of it."""
+        from drivers.trace.survey import is_of_use
+        from schemas.errors import DataError, TraceError
+
+        if self._asked is not None and is_of_use(figures) and path not in self.of_use:
+            with suppress(DataError, TraceError):
+                self._asked.add(trace)
+                self.of_use.append(path)
+
+    def refusal(self) -> str | None:
+        """Why `identify` refuses the logs that are of use; None where it does not."""
+        return None if self._asked is None else self._asked.refusal()
+
+
+def _conclude(
+    surveys: list[dict[str, Any]], traces: list[Path], robot: Path | None, columns: object, following: _Following
+) -> None:
     from schemas.words import counted
 
     usable = [path for path, one in zip(traces, surveys, strict=True) if "error" not in one]
     clean = sum("error" not in one and not one["findings"] for one in surveys)
     said = f"{len(usable)} of {counted(len(surveys), 'file')} usable, {clean} without a finding."
     unread = [path for path, one in zip(traces, surveys, strict=True) if "deltatwin import" in one.get("error", "")]
-    of_use = [p for p, one in zip(traces, surveys, strict=True) if "channels" not in one or is_of_use(one)]
     if not usable and unread:
         conclude(said, "import", unread[0], *(("--robot", robot) if robot else ()))
-    elif robot and (named := [path for path in usable if path in of_use]):
-        target = apart_from("identified.toml", robot)
-        conclude(said, "identify", *named, "--robot", robot, *read_by(columns), "--out", target)
+    elif robot and following.of_use:
+        read = ("--robot", robot, *read_by(columns))
+        if refused := following.refusal():
+            conclude(f"{said} Not enough to identify the robot: {refused}.", "evaluate", *following.of_use, *read)
+        else:
+            conclude(said, "identify", *following.of_use, *read, "--out", apart_from("identified.toml", robot))
+    elif robot and following.captures:
+        capture = following.captures[0]
+        target = apart_from(f"{capture.name.partition('.')[0]}.mcap", *Path().glob("*.mcap"))
+        conclude(said, "convert", capture, target, "--robot", robot)
     elif usable and not robot:
         conclude(said, "init", "--help")
     else:
-        typer.echo(said)  # no command makes anything of these, or the error names it
+        print(said)  # no command makes anything of these, or the error names it
 
 
 def _show(figures: dict[str, Any]) -> None:

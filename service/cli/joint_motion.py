@@ -42,6 +42,7 @@ def simulate_joints(
 
     from drivers.trace import write_trace
     from schemas.trace import Trace
+    from service.identification.of_logs import refusal
     from service.machines import machine_of
     from service.machines.joint_motions import limits_of, multisine
     from service.machines.simulated import simulate
@@ -65,7 +66,10 @@ def simulate_joints(
     typer.echo(f"{out}: {len(trace)} samples at {rate:.6g} Hz, {path.time[-1]:.3f} s")
     errors = ", ".join(significant(1e3 * value, 2) for value in off)
     typer.echo(f"simulated {description.name} as it is described; tracking error {errors} {unit} rms")
-    say_next("identify", out, "--robot", robot, "--out", apart_from("identified.toml", robot))
+    if refusal(description, [trace]) is None:
+        say_next("identify", out, "--robot", robot, "--out", apart_from("identified.toml", robot))
+    else:
+        say_next("simulate", "--robot", robot, "--motion", "multisine", "--out", apart_from("fit.csv", out))
 
 
 def plan_joints(

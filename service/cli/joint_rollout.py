@@ -21,6 +21,7 @@ def roll_out(
     machines: Sequence[tuple[str, Description]],
     paths: Sequence[Path],
     columns: str | None,
+    effects: Path | None,
     horizon: float,
     out: Path | None,
     json: bool,
@@ -33,6 +34,7 @@ def roll_out(
     import typer
 
     from schemas.files import make_folder, write_text
+    from service.identification.copies import distinct
     from service.rollout.joints import compare, named, sentences
 
     robots = named(machines)
@@ -51,7 +53,8 @@ def roll_out(
     console().print(_table(found))
     if out is not None:
         typer.echo(f"wrote rollout.json in {out}")
-    conclude("\n".join(said), "diagnose", *traces, "--robot", paths[-1], *read_by(columns), "--out", "diagnosis")
+    once = [trace.path for trace in distinct(recorded)]
+    conclude("\n".join(said), "diagnose", *once, "--robot", paths[-1], *read_by(columns, effects), "--out", "diagnosis")
 
 
 def _document(found: JointRollout, traces: list[str]) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.output import conclude
+
 if TYPE_CHECKING:
     from drivers.security.certificates import WrittenKeys
 
@@ -59,7 +61,13 @@ def command(
     name = None
     if robot is not None:
         name = load_description(robot).name if robot.endswith(".toml") else check_robot_name(robot)
-    typer.echo(summary(make_keys(out, parsed, name, Role[source.name]), out))
+    made = make_keys(out, parsed, name, Role[source.name])
+    described = robot if robot is not None and robot.endswith(".toml") else "ROBOT.toml"
+    conclude(
+        f"{summary(made, out)}\nCopy each folder to its host. There, for example:",
+        "estimate", "--robot", described, "--zenoh-config", made.folders[0] / "estimator.json5",
+        own="" if described == robot else "ROBOT.toml: the description of your robot, which `identify` wrote",
+    )  # fmt: skip
 
 
 def summary(made: WrittenKeys, out: Path) -> str:
@@ -70,7 +78,5 @@ def summary(made: WrittenKeys, out: Path) -> str:
     again = f"; {made.replaced} certificates replaced: copy every folder again" if made.replaced else ""
     return (
         f"{folders}: certificates of {roles}, valid until {made.valid_until:%Y-%m-%d}{again}\n"
-        f"{out / 'ca.pem'}: {authority}, valid until {made.ca_valid_until:%Y-%m-%d}; {out / 'ca.key'} stays here\n"
-        f"next: copy each folder to its host, then e.g. deltatwin estimate … --zenoh-config "
-        f"{made.folders[0] / 'estimator.json5'}"
+        f"{out / 'ca.pem'}: {authority}, valid until {made.ca_valid_until:%Y-%m-%d}; {out / 'ca.key'} stays here"
     )

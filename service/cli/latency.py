@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import QUANTILES, as_json, console, quantiles, table
+from service.cli.output import QUANTILES, as_json, conclude, console, quantiles, table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,6 +44,8 @@ def command(
         own = ["estimator step, from input bytes to output bytes", *_figures(quantiles(step)), str(len(step)), ""]
         headings = ("", *QUANTILES, "count", "lost")
         console().print(table(headings, [own, *rows], f"latency at {rate:g} Hz, µs"))
+        lost = sum(part.lost for part in trips["estimator"])
+        conclude(*_conclusion(1e6 / rate, found["estimator"], lost, count))
         return
     document = {
         "rate_hz": rate,
@@ -52,6 +54,17 @@ def command(
         "lost": {what: sum(part.lost for part in parts) for what, parts in trips.items()},
     }
     typer.echo(as_json("latency", document))
+
+
+def _conclusion(period: float, trip: dict[str, float], lost: int, sent: int) -> tuple[str, str]:
+    """Whether answers come within a cycle, and the command that comes next. period: of the samples, µs. trip: quantiles
+    of the estimator's round trip, µs."""
+    in_time = not lost and trip["p99.9"] < period
+    said = (
+        f"{'An answer is' if in_time else 'Not every answer is'} here before the next sample, {period:g} µs later: "
+        f"half of them take {trip['median']:.0f} µs or less, one in a thousand {trip['p99.9']:.0f} µs or more"
+    )
+    return f"{said}; {lost} of {sent} were lost.", "demo" if in_time else "doctor"
 
 
 def _echo(robot: str) -> None:
@@ -64,8 +77,11 @@ def _echo(robot: str) -> None:
 
 
 def _estimator(robot: str) -> None:
-    """`deltatwin estimate` with the demo robot under the name `robot`, until SIGTERM."""
+    """`deltatwin estimate` with the demo robot under the name `robot`, until SIGTERM. It says nothing: in the terminal
+    there is a bar."""
+    import io
     import os
+    from contextlib import redirect_stderr, redirect_stdout
 
     from replay.demo import ROBOT
     from schemas.robot import load_robot, save_robot
@@ -75,7 +91,8 @@ def _estimator(robot: str) -> None:
     end_at_once(0)
     description = Path(os.environ["XDG_RUNTIME_DIR"]) / "robot.toml"  # which goes with the run
     save_robot(load_robot(ROBOT).model_copy(update={"name": robot}), description)
-    estimate(robot=description)
+    with redirect_stderr(io.StringIO()), redirect_stdout(io.StringIO()):
+        estimate(robot=description)
 
 
 def _steps(robot, samples: np.ndarray) -> np.ndarray:

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 
 def weigh(
-    traces: Sequence[Path], robot: Path, description: Description, columns: str | None, frame: str | None, json: bool
-) -> None:
+    traces: Sequence[Path], robot: Path, description: Description, columns: str | None, effects: Path | None,
+    frame: str | None, json: bool,
+) -> None:  # fmt: skip
     """Estimate and print the load of each of `traces`.
 
     Raises:
@@ -48,8 +49,8 @@ def weigh(
         if one.centre_told:
             centre = ", ".join(f"{value:.4f}" for value in one.centre)
             known = f'frame = "{one.frame}", mass_kg = {one.mass:.4f}, centre_m = [{centre}]'
-            typer.echo(f"for the description: payload = {{ {known} }}")
-    conclude(said, "rollout", *traces, "--robot", robot, *read_by(columns))
+            typer.echo(f"for the description: `payload = {{ {known} }}`")
+    conclude(said, "rollout", *traces, "--robot", robot, *read_by(columns, effects))
 
 
 def _table(found: Sequence[Load]) -> Table:

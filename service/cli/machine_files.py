@@ -6,8 +6,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from service.cli.output import say_next
+
 if TYPE_CHECKING:
     from schemas.axes_description import Description
+
+
+SEE = "next: open it in a viewer for URDF, such as RViz or Foxglove."
 
 
 def beside_of(out: Path, end: str) -> Path:
@@ -44,3 +49,15 @@ def write_machine(description: Description, to: str, out: Path) -> None:
         )
     for name, why in made.left_out.items():
         print(f"{name} is left out: {why}", file=sys.stderr)
+    if to == "urdf":
+        print(SEE)
+    else:
+        conclude_mjcf(out, len(made.left_out))
+
+
+def conclude_mjcf(out: Path, left_out: int) -> None:
+    """How the export of a model for MuJoCo ends. left_out: how many effects it lacks."""
+    from schemas.words import counted
+
+    print(f"The model lacks {counted(left_out, 'effect')}." if left_out else "The model has all that is described.")
+    say_next("mujoco.viewer", f"--mjcf={out}", program="python -m")

@@ -19,6 +19,8 @@ import typer
 from typer.core import TyperGroup
 
 from schemas.errors import DeltatwinError, printable
+from schemas.files import remove_unused_folders
+from service.cli.terminal import wrap_terminals
 from service.stopping import INTERRUPTED, broke, end_at_once, terminate_as_interrupt
 
 GROUPS = {
@@ -111,7 +113,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={
         "max_content_width": HELP_WIDTH,
-        "terminal_width": None if sys.stdout.isatty() else HELP_WIDTH,
+        "terminal_width": None if sys.stdout.isatty() or os.environ.get("COLUMNS") else HELP_WIDTH,
     },
 )
 
@@ -130,6 +132,7 @@ def main() -> None:
 
     A known error is one line on stderr and exit code 1, wrong usage 2, a bound that is missed 3, Ctrl-C 130.
     """
+    wrap_terminals()
     try:
         terminate_as_interrupt()
         # Matrices here are small, and what is large has threads of its own: more would only wait for each other.
@@ -170,6 +173,7 @@ def _run() -> None:
         try:
             app()
         finally:
+            remove_unused_folders()
             sys.stdout.flush()  # here, where a full disk or a closed pipe behind it can still be told
     except DeltatwinError as error:
         _end(str(error))

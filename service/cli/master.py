@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
-from service.cli.output import in_quantiles
+from service.cli.output import conclude, in_quantiles, read_by
 
 if TYPE_CHECKING:
     import numpy as np
@@ -125,9 +125,9 @@ def command(
         if health and interrupted:
             health.stop(StopReason.INTERRUPTED)
         show(done)
-    typer.echo(summary(done, len(plan), master.counts, sent[:done]))
-    if torque:
-        typer.echo(torque.summary())
+    said = summary(done, len(plan), master.counts, sent[:done])
+    following = "monitor" if description.identified is None else "watch"
+    conclude(f"{said}\n{torque.summary()}" if torque else said, following, "--robot", robot, *read_by(effects=effects))
 
 
 def _say_operating(interface: str, duration: float, behind: bool) -> None:

@@ -76,7 +76,7 @@ def command(
     typer.echo(summary(monitor))
     if writer.failed:
         raise typer.Exit(1)
-    conclude(f"wrote {counted(writer.written, 'message')} to {path}", "inspect", path)
+    conclude(f"wrote {counted(writer.written, 'message')} to {path}", "inspect", path, "--robot", robot)
 
 
 class _Silence:

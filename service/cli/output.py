@@ -46,7 +46,7 @@ class Table:
     """A table in the one style that all have. Where the terminal is too narrow for its longest words, each row is told
     line by line instead: nothing is cut, no word is broken.
 
-    figures: columns that hold figures, which stand at the right.
+    figures: columns that hold figures, which stand at the right, and together where there are several in a cell.
     """
 
     head: Sequence[str]
@@ -66,7 +66,11 @@ class Table:
         cells = [[Text.from_markup(cell).plain for cell in row] for row in (self.head, *self.rows)]
         columns = list(zip(*cells, strict=True))
         width = [max(map(cell_len, column)) for column in columns]
-        least = [max(map(cell_len, " ".join(column).split()), default=0) for column in columns]
+        figures = range(len(columns))[self.figures]
+        least = [
+            max(map(cell_len, (*column[0].split(), *_parts(column[1:], place in figures))), default=0)
+            for place, column in enumerate(columns)
+        ]
         room = options.max_width - GUTTER * (len(columns) - 1)
         while sum(width) > room and width != least:
             width[max(range(len(width)), key=lambda place: width[place] - least[place])] -= 1
@@ -102,6 +106,12 @@ class Table:
                     yield Padding(f"{heading}: {cell}" if heading else cell, (0, 0, 0, 2), expand=False)
 
 
+def _parts(cells: Sequence[str], whole: bool) -> Iterator[str]:
+    """What is not broken of cells: lines, if `whole`, else words."""
+    for cell in cells:
+        yield from cell.splitlines() if whole else cell.split()
+
+
 def table(
     head: Sequence[str],
     rows: Iterable[Sequence[str]] = (),
@@ -113,15 +123,16 @@ def table(
     return Table(head, list(rows), title, caption, figures)
 
 
-def conclude(said: str, *following: object) -> None:
-    """How a command ends: what it comes to, and the words of the command that comes next."""
-    console().print(said, highlight=False, markup=False)
-    say_next(*following)
+def conclude(said: str, *following: object, own: str = "") -> None:
+    """How a command ends: what it comes to, and what comes next, as `say_next` says it."""
+    print(said)
+    say_next(*following, own=own)
 
 
-def read_by(columns: object) -> tuple[object, ...]:
-    """The words by which the command that comes next reads the same logs."""
-    return ("--columns", columns) if columns else ()
+def read_by(columns: object = None, effects: object = None) -> tuple[object, ...]:
+    """The words by which the command that comes next reads the same logs, with the same effects."""
+    mapping = ("--columns", columns) if columns else ()
+    return (*mapping, "--effects", effects) if effects else mapping
 
 
 def apart_from(name: str, *read: Path) -> str:
@@ -132,17 +143,28 @@ def apart_from(name: str, *read: Path) -> str:
     return next(one for one in tries if Path(one).resolve() not in taken)
 
 
-def say_next(*following: object) -> None:
-    """The words of the command that comes next."""
-    line = f"next: deltatwin {shlex.join(map(str, following))}"
-    console().print(line, highlight=False, markup=False, soft_wrap=True)
+def say_next(*following: object, own: str = "", program: str = "deltatwin") -> None:
+    """The words of the command that comes next, of `program`. own: a word of them, in capitals, in whose place the user
+    puts something of his own, and what that is."""
+    print(f"next: {program} {shlex.join(map(str, following))}")
+    if own:
+        print(own)
 
 
 def say_headline(headline: Headline) -> None:
     """How a command that writes a page ends: what the page says first."""
-    screen = console()
-    for line in (headline.answer, f"{headline.number} {headline.of}", *headline.lines, f"next: {headline.step}"):
-        screen.print(line, highlight=False, markup=False, soft_wrap="next:" in line)
+    for line in (headline.answer, f"{headline.number} {headline.of}", *headline.lines):
+        print(line)
+    if not headline.command:
+        print(f"next: {headline.step}")
+        return
+    print(capitalised(headline.step))
+    say_next(*headline.command, own=headline.own)
+
+
+def capitalised(text: str) -> str:
+    """With a capital in front."""
+    return text[:1].upper() + text[1:]
 
 
 def quantiles(nanoseconds: np.ndarray) -> dict[str, float]:

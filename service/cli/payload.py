@@ -9,7 +9,7 @@ import typer
 
 from schemas.words import counted, percent
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import Table, as_json, conclude, console, table
+from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import files_in, prediction_files, reading
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def command(
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} logs; give one for each, in the same order")
     described = load_description(robot, effects)
     if described.answering(Question.PICKS) is None and not truth and predictions is None:
-        weigh(traces, robot, described, columns, frame, json)
+        weigh(traces, robot, described, columns, effects, frame, json)
         return
     description = as_delta(described, Question.PICKS)
     if frame is not None:
@@ -99,7 +99,7 @@ def command(
     elif not truth:
         screen.print(*(_found(Path(path).name, found) for path, found in seen.items() if found))
     screen.print(_said(common), highlight=False, markup=False)
-    conclude(conclusion, "estimate", "--robot", robot)
+    conclude(conclusion, "estimate", "--robot", robot, *read_by(effects=effects))
 
 
 def _write(found: PayloadHistory, path: Path) -> None:

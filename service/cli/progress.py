@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from service.cli.output import console
+from service.cli.terminal import above_a_bar
 from service.stopping import ENDING
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def counting(title: str, total: int) -> Iterator[Callable[[int], None]]:
         done.value = count
 
     try:
-        yield show
+        with above_a_bar():
+            yield show
     finally:
         running.value = 0
         drawing.join()

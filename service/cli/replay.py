@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import ColumnsFrom, Insecure, RosDomain, ZenohConfig, robot_file
-from service.cli.output import in_quantiles
+from service.cli.output import conclude, in_quantiles, read_by
 from service.stopping import interrupted
 
 if TYPE_CHECKING:
@@ -58,11 +58,16 @@ def command(
         standing = go_realtime("replay")
         with open_bus(description.name, Role.PLAYER, zenoh_config, insecure, ros_domain) as bus:
             publisher = bus.publisher(topic)
-            if not publisher.wait_until_heard(wait):
+            heard = publisher.wait_until_heard(wait)
+            if not heard:
                 typer.echo(f"nobody subscribes to the samples of {description.name} yet; playing anyway", err=True)
             with Health(bus, standing) as health:
                 played = play(plan, publisher.put, health, show, interrupted)
-    typer.echo(summary(played, plan.period_ns))
+    said = summary(played, plan.period_ns)
+    if heard:
+        conclude(said, "evaluate", trace, "--robot", robot, *read_by(columns))
+    else:
+        conclude(f"{said}\nNobody has subscribed. In a second terminal:", "estimate", "--robot", robot)
 
 
 def summary(played: Played, period_ns: int) -> str:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import Table, console, say_headline, table
+from service.cli.output import Table, console, read_by, say_headline, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
@@ -48,6 +47,7 @@ def command(
     from schemas.files import make_folder, write_text
     from schemas.questions import Question, as_delta
     from service.cli.joint_rollout import roll_out
+    from service.identification.copies import distinct
     from service.rollout.gap import PLAIN, compare
     from service.rollout.rollout_page import document, headline, write_rollout
 
@@ -56,7 +56,7 @@ def command(
     if others and not commands:
         if len(others) < len(described):
             raise DataError(f"{robot[0]}, {robot[-1]}: compare descriptions of one machine")
-        roll_out(traces, others, robot, columns, horizon, out, json)
+        roll_out(traces, others, robot, columns, effects, horizon, out, json)
         return
     robots = _robots({path: as_delta(one, Question.COMMANDS) for path, one in described.items()})
     if out is not None:
@@ -64,19 +64,19 @@ def command(
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
     with console(stderr=True).status("simulating") as status:
         found = compare(robots, recorded, horizon, commands, lambda what: status.update(f"simulating {what}"))
-    own = f" --effects {quote(str(effects))}" if effects else ""
-    given = dict(zip(list(robots)[1:], (quote(path) + own for path in described), strict=True))
+    given = dict(zip(list(robots)[1:], ((path, *read_by(effects=effects)) for path in described), strict=True))
+    logs = (*(trace.path for trace in distinct(recorded)), *read_by(columns))
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
         write_text(out / "rollout.json", result.model_dump_json(indent=1, by_alias=True))
-        write_rollout(result, out / "rollout.html", given)
+        write_rollout(result, out / "rollout.html", given, logs)
     if json:
         print(result.model_dump_json(indent=1, by_alias=True))
         return
     console().print(_table(result), _regimes(result))
     if out is not None:
         typer.echo(f"wrote rollout.json and rollout.html in {out}")
-    say_headline(headline(result, given))
+    say_headline(headline(result, given, logs))
 
 
 def _robots(described: dict[str, Robot]) -> dict[str, Robot]:

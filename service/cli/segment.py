@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import robot_file
+from service.cli.output import conclude
 from service.stopping import interrupted
 
 if TYPE_CHECKING:
@@ -75,7 +76,12 @@ def command(
             if out and segment.cycles:
                 write_trace(to_trace(segment.trace, out), out, description.name)
     frameless = int((segment.trace["flags"] != 0).sum())
-    typer.echo(f"{segment.cycles} cycles in operation, {frameless} of them without a frame")
+    said = f"{segment.cycles} cycles in operation, {frameless} of them without a frame"
+    if out and segment.cycles:
+        conclude(said, "inspect", out, "--robot", robot)
+    else:
+        own = "INTERFACE: the other end of the cable"
+        conclude(said, "master", "INTERFACE", "--robot", robot, own=own)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from drivers.simulated.plant.plant import Plant
     from drivers.simulated.plant.plant_on_bus import LiveRun
     from schemas.robot import Robot
+    from schemas.trace import Trace
 
 
 OF_JOINTS = ("multisine", "slow")  # motions of axes and arms
@@ -140,22 +142,27 @@ def command(
         typer.echo(f"later {one.in_words}", err=True)
     made = changes(plant, seed, coming)
     if live:
-        _live(description, plant, planner.closed(planned), loop, made, out, zenoh_config, insecure, ros_domain)
+        trace = _live(description, plant, planner.closed(planned), loop, made, out, zenoh_config, insecure, ros_domain)
     else:
         assert out is not None
-        _offline(description, plant, planned, made, out)
+        trace = _offline(description, plant, planned, made, out)
         if picks is not None:
             _write_picks(planned, picks)
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
-    if out is not None:
-        _say_next(description, robot, out, truth, bool(planned.payloads))
+    if trace is None:
+        say_next("monitor", "--robot", robot)
+    else:
+        _say_next(description, robot, trace, truth, bool(planned.payloads))
 
 
-def _say_next(description: Robot, robot: Path, out: Path, truth: str | None, carries: bool) -> None:
-    """What the log is good for; a payload is weighed with an identified robot."""
-    if not carries:
+def _say_next(description: Robot, robot: Path, log: Trace, truth: str | None, carries: bool) -> None:
+    """What the log is good for; a payload is estimated with an identified robot."""
+    from service.identification.of_logs import refusal
+
+    out = log.path
+    if not carries and refusal(description, [log]) is None:
         say_next("identify", out, "--robot", robot, "--out", apart_from("identified.toml", robot))
-    elif description.identified is not None:
+    elif carries and description.identified is not None:
         say_next("payload", out, "--robot", robot)
     else:
         same = ("--truth", truth) if truth else ()
@@ -180,7 +187,7 @@ def _plan(
     return planner.slow(rng, duration)
 
 
-def _offline(robot: Robot, plant: Plant, motion: Trajectory, changes: dict[int, Plant], out: Path) -> None:
+def _offline(robot: Robot, plant: Plant, motion: Trajectory, changes: dict[int, Plant], out: Path) -> Trace:
     from drivers.simulated.plant.plant_trace import simulate
     from drivers.trace import write_trace
 
@@ -196,6 +203,7 @@ def _offline(robot: Robot, plant: Plant, motion: Trajectory, changes: dict[int, 
     typer.echo(f"{out}: {len(trace)} samples at {1 / plant.period:.6g} Hz, {motion.duration:.3f} s")
     for load in motion.payloads:
         typer.echo(f"  {load.mass:.3f} kg from {load.pick:.3f} s to {load.release:.3f} s")
+    return replace(trace, path=out)
 
 
 def _write_picks(motion: Trajectory, path: Path) -> None:
@@ -215,7 +223,8 @@ def _live(
     zenoh_config: Path | None,
     insecure: bool,
     ros_domain: int | None,
-) -> None:
+) -> Trace | None:
+    """Run it until its end or Ctrl-C. The log that was written, if any."""
     import numpy as np
 
     from drivers.bus import open_bus
@@ -235,7 +244,7 @@ def _live(
                 stop=lambda _: interrupted(),
             )  # fmt: skip
     if not len(run.trace):
-        return
+        return None
     console().print(_joints(run))
     helped = np.isfinite(run.feedforward).all(axis=1).mean()
     typer.echo(
@@ -244,8 +253,10 @@ def _live(
     )
     if motion.payloads:
         typer.echo(f"carried: {', '.join(f'{load.mass:.3f} kg' for load in motion.payloads)}, in turn")
-    if out is not None:
-        write_trace(run.trace, out, robot.name)
+    if out is None:
+        return None
+    write_trace(run.trace, out, robot.name)
+    return replace(run.trace, path=out)
 
 
 def _joints(run: LiveRun) -> Table:

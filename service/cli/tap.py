@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
+from service.cli.output import conclude
 from service.stopping import interrupted
 
 
@@ -59,7 +60,8 @@ def command(
     finally:
         source.close()
     counted = tap.assembler.count
-    typer.echo(
+    conclude(
         f"published {counted('samples')} samples; {counted('lost')} cycles lost, "
-        f"{counted('counter_faults')} working-counter faults, {counted('not_enabled')} cycles not in operation"
-    )
+        f"{counted('counter_faults')} working-counter faults, {counted('not_enabled')} cycles not in operation",
+        "monitor" if description.identified is None else "estimate", "--robot", robot,
+    )  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
-from service.cli.output import console
+from service.cli.output import conclude, console
 
 REFRESH_S = 0.05  # on a terminal; anywhere else a text a second
 NICENESS = 10
@@ -47,8 +47,10 @@ def command(
             while not stopped():
                 time.sleep(1.0)
                 screen.print(joints.table(name), roles.table())
-            return
-        with Live(console=screen, screen=True, auto_refresh=False) as display:
-            while not stopped():
-                time.sleep(REFRESH_S)
-                display.update(Group(joints.table(f"{name}; Ctrl-C ends it"), "", roles.table()), refresh=True)
+        else:
+            with Live(console=screen, screen=True, auto_refresh=False) as display:
+                while not stopped():
+                    time.sleep(REFRESH_S)
+                    display.update(Group(joints.table(f"{name}; Ctrl-C ends it"), "", roles.table()), refresh=True)
+            screen.print(joints.table(name), roles.table())  # the last of it stays in the terminal
+    conclude("To record what was shown:", "monitor", "--robot", robot)

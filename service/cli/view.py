@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
+from service.cli.output import conclude
 from service.stopping import interrupted
 
 
@@ -42,7 +43,7 @@ def command(
         from drivers.view.foxglove_layout import layout as layout_of
 
         write_text(layout, layout_of(description.name))
-        typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")
+        conclude(f"wrote {layout}; in Foxglove: Layouts, Import from file", "view", "--robot", robot)
         return
     from drivers.bus import open_bus
     from drivers.view.server import LiveView, run
@@ -58,3 +59,4 @@ def command(
             run(view, interrupted)
         except KeyboardInterrupt:
             typer.echo(f"view: stopped; {counted(view.shown, 'message')} shown", err=True)
+    conclude("To record what was shown:", "monitor", "--robot", robot)

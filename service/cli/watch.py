@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import Insecure, OwnEffects, ZenohConfig, robot_file
+from service.cli.output import conclude, read_by
 
 
 def command(
@@ -86,4 +87,19 @@ def command(
         typer.echo(f"watching {description.name}; findings go to {folder}; Ctrl-C ends it", err=True)
         node = WatchNode(watch, bus, partial(Examination, robot, effects, folder), partial(print, flush=True))
         run(node, stopped)
-    typer.echo(f"watch: stopped; {node.counts()['received']} samples, {node.counts()['lost']} lost", err=True)
+    counts = node.counts()
+    typer.echo(f"watch: stopped; {counts['received']} samples, {counts['lost']} lost", err=True)
+    _conclude(folder, node.found, robot, effects)
+
+
+def _conclude(folder: Path, found: int, robot: Path, effects: Path | None) -> None:
+    """found: how many findings there are in `folder`."""
+    from schemas.words import counted
+
+    described = ("--robot", robot, *read_by(effects=effects))
+    motions = sorted(folder.glob("*/after.mcap"))
+    if found and motions:
+        said = f"{counted(found, 'finding')} in {folder}. To diagnose the motion of the last one again:"
+        conclude(said, "diagnose", motions[-1], *described, "--out", "diagnosis")
+    else:
+        conclude("No change was found. To go on, whenever the robot runs:", "watch", *described, "--out", folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -53,14 +54,18 @@ def verdict_of_models(runs: Sequence[Tracking]) -> Headline:
         _tone(found),
         _compared(f"With tau_FF ({best.name}) the platform follows", found, "with feedback alone"),
         *_number(found, "feedback alone"),
-        "`deltatwin closed-loop --effect joint_elasticity` simulates a robot that its description does not match.",
+        "simulate a robot that its description does not match:",
         (_errors(alone, best),),
+        ("closed-loop", "--effect", "joint_elasticity"),
     )
 
 
-def verdict_of_correction(runs: Sequence[Tracking], named: str, left_out: Sequence[str], folder: str) -> Headline:
+def verdict_of_correction(
+    runs: Sequence[Tracking], named: str, left_out: Sequence[str], described: tuple[Path, Path]
+) -> Headline:
     """What the correction is worth. runs: by name as `closed_loop` has them. named: what the corrected description
-    holds, in words. left_out: effects of it that the online model does not carry. folder: of the descriptions."""
+    holds, in words. left_out: effects of it that the online model does not carry. described: files of the
+    rigid and of the corrected description."""
     alone, rigid, corrected = ({run.name: run for run in runs}[name] for name in (FEEDBACK, RIGID, CORRECTED))
     if spoilt := _spoilt(runs):
         return spoilt
@@ -68,16 +73,16 @@ def verdict_of_correction(runs: Sequence[Tracking], named: str, left_out: Sequen
     lines = [_errors(alone, rigid, corrected), f"The correction: {named}."]
     if left_out:
         lines.append(f"The online model does not contain {', '.join(left_out)}: the feed-forward leaves it out.")
+    command: tuple[object, ...] = ()
     if found.high < 1.0:
-        step = f"`deltatwin estimate --robot {folder}/corrected.toml` gives this feed-forward."
+        step, command = "run the estimator with this feed-forward:", ("estimate", "--robot", described[1])
     elif found.low > 1.0:
-        step = (
-            f"keep `deltatwin estimate --robot {folder}/identified.toml`: the correction makes the tracking worse here."
-        )
+        step = "keep the rigid model: the correction makes the tracking worse here."
+        command = ("estimate", "--robot", described[0])
     else:
         step = "a longer --duration narrows the interval."
     said = _compared("With the correction the platform follows", found, "with the rigid model")
-    return Headline(_tone(found), said, *_number(found, "the rigid model"), step, tuple(lines))
+    return Headline(_tone(found), said, *_number(found, "the rigid model"), step, tuple(lines), command)
 
 
 def colour_of(run: str) -> Colour:

@@ -209,7 +209,8 @@ def headline(found: PaperResult) -> Headline:
         percent(1 - last / first),
         f"smaller standard deviation of the error over υ_F, {significant(first)} → {significant(last)} N m "
         f"(M_KH → {FRICTION})",
-        "`deltatwin experiment --logs` writes the logs; `deltatwin diagnose` names causes of the residual.",
+        "simulate the same robot live, with and without feed-forward:",
+        command=("closed-loop", "--robot", "d3-1200"),
     )
 
 

@@ -6,6 +6,7 @@ Asked of files that a user gives. A stretch of the bus may repeat: a log is play
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import combinations
 
 import numpy as np
@@ -29,6 +30,16 @@ def refuse_copies(traces: Sequence[Trace]) -> None:
         if _found_again(rows[short], rows[long]) > MOST:
             first, second = traces[one], traces[other]
             raise DataError(f"{second.path}: the same motion and torque as {first.path}; give it only once")
+
+
+def distinct(traces: Sequence[Trace]) -> list[Trace]:
+    """Without those that `refuse_copies` refuses beside an earlier one."""
+    kept: list[Trace] = []
+    for trace in traces:
+        with suppress(DataError):
+            refuse_copies([*kept, trace])
+            kept.append(trace)
+    return kept
 
 
 def _found_again(part: np.ndarray, whole: np.ndarray) -> float:

@@ -22,6 +22,7 @@ from service.model.description import identified_of
 from service.model.nominal import pack
 from service.model.parameters import TIMING_LIMIT
 from service.model.scene import Base, Recording
+from service.model.signals import one_period
 
 MINIMUM_BLOCKS = 2 * PARAMETERS
 AT_LIMIT = 1.0 - 1e-6  # of the timing within a sample: so near to its limit it stands there
@@ -33,8 +34,7 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     Raises:
         DataError: the data cannot give an answer, naming the log and the joint.
     """
-    checks.check(logs, robot.drive.gear_ratio)
-    _enough(logs)
+    refuse(robot, logs)
     recordings = [replace(part, trace=number) for number, log in enumerate(logs) for part in log.recordings]
     fit = fit_to(robot, recordings, [log.name for log in logs])
     errors = [error for log in logs for error in log.position_errors]
@@ -52,6 +52,16 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
         "torque_commanded": all(log.commanded for log in logs),
     }
     return written(robot, fit, base, warnings, more)
+
+
+def refuse(robot: Robot, logs: Sequence[NormalEquations]) -> None:
+    """
+    Raises:
+        DataError: `robot` cannot be fitted to `logs`, which shows before it is: naming the log and the joint.
+    """
+    one_period([(part.name, part.segment) for log in logs for part in log.recordings])
+    checks.check(logs, robot.drive.gear_ratio)
+    _enough(logs)
 
 
 def fit_to(robot: Description, recordings: Sequence[Recording], names: Sequence[str]) -> Plain:

@@ -21,7 +21,7 @@ from service.identification.rigs import Rig, on_rig
 from service.model.mechanism import Mechanism, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
-from service.model.signals import segments_of, thin
+from service.model.signals import Segment, one_period, segments_of, thin
 
 MUCH = 0.2  # of an axis' torque, rms, that is left: more than friction of another kind does on most real arms
 CLEARLY = 0.95  # of what the masses found leave of stretches left out; nearer than this both are as good
@@ -39,6 +39,20 @@ def identify_axes(
         TraceError: a trace without a usable part, naming the file.
         DataError: too little motion, or logs of several rates, naming them.
     """
+    recordings, logs = recorded(axes, traces, rigs)
+    fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
+    held = told_of_held({trace.path.name: held_s(parts) for trace, parts in zip(traces, logs, strict=True)})
+    return written(axes, fit, fit.fitted.hypothesis.base, [*_commanded(fit, traces), *held, *_warnings(fit, traces)])
+
+
+def recorded(
+    axes: Axes | Chain, traces: Sequence[Trace], rigs: Sequence[Rig | None] = ()
+) -> tuple[list[Recording], Sequence[Sequence[Segment]]]:
+    """What is fitted to, and the parts of each trace that it is made of.
+
+    Raises:
+        As `identify_axes`, for what shows before the fit.
+    """
     mechanism = mechanism_of(axes)
     logs = segments_of(traces)
     recordings = [
@@ -47,6 +61,7 @@ def identify_axes(
         for part in parts
     ]
     refuse_dead_torque(recordings)
+    one_period([(recording.name, recording.segment) for recording in recordings])
     seconds = sum(r.segment.period * r.segment.moving.sum(axis=0) for r in recordings)
     blocks = BLOCKS_PER_DECOUPLED if mechanism.decoupled else BLOCKS_PER_PARAMETER
     least = blocks * BLOCK * len(base_parameters(mechanism)) / mechanism.joints
@@ -55,9 +70,7 @@ def identify_axes(
         raise DataError(
             f"{names}: too little motion, at most {np.max(seconds):.1f} s per axis; at least {least:.0f} s are needed"
         )
-    fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
-    held = told_of_held({trace.path.name: held_s(parts) for trace, parts in zip(traces, logs, strict=True)})
-    return written(axes, fit, fit.fitted.hypothesis.base, [*_commanded(fit, traces), *held, *_warnings(fit, traces)])
+    return recordings, logs
 
 
 def _of_log(axes: Axes | Chain, mechanism: Mechanism, rig: Rig | None, log: str) -> Mechanism:

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterable, Sequence
 
 from schemas.axes_description import Axes, Description
 from schemas.chain_description import Chain
-from schemas.errors import RobotError
+from schemas.errors import DataError, RobotError, TraceError
 from schemas.robot import Method, Robot
 from schemas.trace import Trace
 from service.identification.calibration import CalibratedFigure, calibrate
 from service.identification.copies import refuse_copies
-from service.identification.from_traces import identify
-from service.identification.joint_machines import identify_axes
+from service.identification.from_traces import identify, refuse
+from service.identification.joint_machines import identify_axes, recorded
 from service.identification.pooled import Identification
-from service.identification.regression import summarise
+from service.identification.regression import NormalEquations, summarise
 from service.identification.rigs import Rig
 from service.model.nominal import pack
 
@@ -36,6 +36,48 @@ def identify_logs(
         DataError, TraceError: the data cannot give an answer, naming the log.
     """
     return _WAYS[type(description)](description, logs, method, carried, rigs)
+
+
+class Asked:
+    """Whether `description` can be identified on logs, asked before anybody proposes it; of a Delta no log is kept."""
+
+    def __init__(self, description: Description) -> None:
+        self._description = description
+        self._equations: list[NormalEquations] = []
+        self._logs: list[Trace] = []
+
+    def add(self, log: Trace) -> None:
+        """
+        Raises:
+            DataError, TraceError: `log` alone is of no use.
+        """
+        if isinstance(self._description, Robot):
+            self._equations.append(summarise(pack(self._description), log))
+        else:
+            self._logs.append(log)
+
+    def refusal(self) -> str | None:
+        """Why `identify_logs` refuses the logs before it fits anything; None where it does not."""
+        try:
+            if isinstance(self._description, Robot):
+                refuse(self._description, self._equations)
+            else:
+                refuse_copies(self._logs)
+                recorded(self._description, self._logs)
+        except (DataError, TraceError) as error:
+            return str(error)
+        return None
+
+
+def refusal(description: Description, logs: Iterable[Trace]) -> str | None:
+    """Why `identify_logs` refuses these logs before it fits anything; None where it does not."""
+    asked = Asked(description)
+    try:
+        for log in logs:
+            asked.add(log)
+    except (DataError, TraceError) as error:
+        return str(error)
+    return asked.refusal()
 
 
 def _of_joints(

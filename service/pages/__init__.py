@@ -6,6 +6,7 @@ import gzip
 import json
 import os
 import secrets
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -79,7 +80,9 @@ class Headline:
     """What a page says first: the answer in a sentence, one number and what it is of, what to do next, and lines of
     more.
 
-    tone: "good" needs nothing done, "bad" does, and of "open" the data cannot say; "told" judges nothing.
+    tone: "good" needs nothing done, "bad" does, and of "open" the data cannot say; "told" judges nothing. command:
+    words of the command that takes the step, behind `deltatwin`. own: a word of them, in capitals, in whose place the
+    user puts something of his own, and what that is.
     """
 
     tone: Literal["good", "bad", "open", "told"]
@@ -88,6 +91,13 @@ class Headline:
     of: str
     step: str
     lines: tuple[str, ...] = ()
+    command: tuple[object, ...] = ()
+    own: str = ""
+
+    @property
+    def following(self) -> str:
+        """The command, as it is pasted."""
+        return shlex.join(("deltatwin", *map(str, self.command))) if self.command else ""
 
 
 def write_page(template: str, path: Path, headline: Headline, **fields: Any) -> None:

@@ -94,10 +94,12 @@ def _numbers(values: np.ndarray) -> list[float | None]:
     return [_number(float(value)) for value in values]
 
 
-def write_rollout(result: RolloutDocument, path: Path, given: Mapping[str, str]) -> None:
-    """Write the page of a rollout. given: see `headline`."""
+def write_rollout(
+    result: RolloutDocument, path: Path, given: Mapping[str, Sequence[object]], logs: Sequence[object]
+) -> None:
+    """Write the page of a rollout. given, logs: see `headline`."""
     plots = {"growth": growth(result), "by_regime": _by_regime(result)}
-    write_page("rollout", path, headline(result, given), document=result, in_figures=in_figures, **plots)
+    write_page("rollout", path, headline(result, given, logs), document=result, in_figures=in_figures, **plots)
 
 
 def in_figures(value: float | None) -> str:
@@ -107,9 +109,9 @@ def in_figures(value: float | None) -> str:
     return significant(value) if value < 1000.0 else f"{value:.0f}"
 
 
-def headline(result: RolloutDocument, given: Mapping[str, str]) -> Headline:
+def headline(result: RolloutDocument, given: Mapping[str, Sequence[object]], logs: Sequence[object]) -> Headline:
     """How far the best description is from the robot, after the horizon. given: name -> each
-    description as words of a command."""
+    description as words of a command. logs: those that were compared, and how they are read, as words of one."""
     lines, horizon = tuple(sentences(result)), f"{1e3 * result.horizon_s:.0f} ms"
     floor, shown = result.floor.platform_mm, _simulated(result)
     if not shown:
@@ -117,24 +119,26 @@ def headline(result: RolloutDocument, given: Mapping[str, str]) -> Headline:
         said = f"Every simulated robot leaves the workspace within {horizon}."
         return Headline("bad", said, "0", f"of {counted(result.windows, 'window')} simulated to the end", step, lines)
     *others, (best, error) = shown
+    robot = given.get(best) or next(iter(given.values()), ("FILE",))
     number, of = f"{significant(error)} mm", f"rms error of the platform after {horizon}, {best}"
     if strange(result):
-        step = "run `deltatwin identify` on logs of this robot, or check the logs' units and the payload; "
-        step += f"{best} was identified on other logs."
+        step = (
+            f"check units and payload of these logs; {best} was identified on others. To see where the torque differs:"
+        )
         said = f"'{best}' does not describe the robot of these logs."
-        return Headline("bad", said, number, of, step, lines)
+        return Headline("bad", said, number, of, step, lines, ("evaluate", *logs, "--robot", *robot))
     if floor is not None and error < AT_FLOOR * floor:
         said = f"'{best}' moves as the robot does: the difference is within the noise of torque and start state."
-        step = f"`deltatwin export {given.get(best, 'FILE')} --to mjcf --out robot.xml` writes {best} for a simulator."
-        return Headline("good", said, number, of, step, lines)
+        command = ("export", *robot, "--to", "mjcf", "--out", "robot.xml")
+        return Headline("good", said, number, of, f"write {best} for a simulator:", lines, command)
     if others and error < others[-1][1]:
         other, its = others[-1]
         said = f"'{best}' is {significant(its / error, 2)} times nearer to the robot than '{other}', "
         said += "but not within the noise."
     else:
         said = f"'{best}' does not move as the robot does."
-    step = "`deltatwin diagnose` on these logs says which effect is missing."
-    return Headline("bad", said, number, of, step, lines)
+    command = ("diagnose", *logs, "--robot", *robot, "--out", "diagnosis")
+    return Headline("bad", said, number, of, "find out which effect is missing:", lines, command)
 
 
 def _simulated(result: RolloutDocument) -> list[tuple[str, float]]:

@@ -129,6 +129,11 @@ class WatchNode:
         self._found += 1
         self._published += 1
 
+    @property
+    def found(self) -> int:
+        """How many diagnoses have ended."""
+        return self._found
+
     def counts(self) -> dict[str, int]:
         """Of the health message."""
         return {
