@@ -20,7 +20,7 @@ TIMES = "second|minute|hour|day|millisecond|cycle"
 PARTS = "joint|axis|motor|drive|robot|log|trace|run|case|turn|metre|column|block|effect|parameter|file|topic"
 COUNTED = "N m|kg|samples|cycles|messages|events|rows|increments|regressors?|constants?|figures?|numbers?"
 INSTEAD = {
-    r"\b(be|is|are|was|were) told\b|\btold apart\b|\buntold\b": "separable, identifiable, ambiguous, unknown",
+    r"\b(be|is|are|was|were) told\b|\b(told|tells?) apart\b|\buntold\b": "separable, identifiable, ambiguous, unknown",
     r"\btells? (\S+ ){1,6}(apart|from)\b|\bnothing tells\b|\btells more\b": "separates, shows",
     r"\bstrangers?\b": "unmodelled disturbance",
     r"\bst(ands?|ood) in for\b": "mimics, is an alias of",
@@ -54,7 +54,7 @@ def literals(path: Path) -> Iterator[tuple[int, str]]:
     seen = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            shown = EFFECTS in path.parents if isinstance(node, ast.Module) else node.name == "command"
+            shown = _is_shown(path, node) if isinstance(node, ast.Module) else node.name == "command"
             if node.body and isinstance(node.body[0], ast.Expr) and not shown:
                 seen.add(node.body[0].value)
         elif isinstance(node, ast.JoinedStr):
@@ -62,6 +62,11 @@ def literals(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, "".join(str(v.value) if isinstance(v, ast.Constant) else "x" for v in node.values)
         elif isinstance(node, ast.Constant) and node not in seen and " " in str(node.value).strip():
             yield node.lineno, str(node.value)
+
+
+def _is_shown(path: Path, module: ast.Module) -> bool:
+    """Whether a module's docstring is: of an effect on its page, of a command in the list of commands."""
+    return EFFECTS in path.parents or (ast.get_docstring(module) or "").startswith("`deltatwin ")
 
 
 def pages() -> list[Path]:
@@ -108,6 +113,7 @@ def test_pages_are_in_the_words_of_the_field() -> None:
     [
         "its centre cannot be told", "Backlash stands in for elasticity", "what is left is noise", "5 N m a joint",
         "the torque comes anew every 4 ms", "events a minute", "No cause has earned a name",
+        "the run that tells apart what a diagnosis could not", "the whole path on a log that comes along",
     ],
 )  # fmt: skip
 def test_an_expression_of_our_own_is_found(text: str) -> None:
@@ -121,3 +127,5 @@ def test_a_message_is_read_whole_and_code_is_not(tmp_path: Path) -> None:
         '    return f"{len(rivals)} of them, "\\\n        f"5 N m a joint", "key"\n'
     )
     assert [text for _, text in literals(module)] == ["Shown: put right.", "x of them, 5 N m a joint"]
+    module.write_text('"""`deltatwin demo`: the whole path on a log that comes along."""\n')
+    assert [text for _, text in literals(module)] == ["`deltatwin demo`: the whole path on a log that comes along."]

@@ -1,4 +1,4 @@
-"""`deltatwin blindtest`: the diagnosis on simulated cases whose answers are sealed."""
+"""`deltatwin blindtest`: Diagnose simulated robots whose faults are sealed, then compare with the key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin closed-loop`: what feed-forward torque does for the tracking of a live robot."""
+"""`deltatwin closed-loop`: Measure how feed-forward torque improves the tracking of a simulated robot, live."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin convert`: a log from one format to another."""
+"""`deltatwin convert`: Convert a log to another format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin demo`: the whole path on a log that comes along."""
+"""`deltatwin demo`: Run estimator and monitor on a bundled log, in real time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin diagnose`: which unmodelled effect causes the gap, where it lies, how far it shrinks."""
+"""`deltatwin diagnose`: Find the unmodelled effects that explain the residual torque, and correct the description."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin doctor`: what this machine can do, what that is needed for, how to get the rest."""
+"""`deltatwin doctor`: Check what this machine can run and what is missing."""
 
 from __future__ import annotations
 

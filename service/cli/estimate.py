@@ -1,4 +1,4 @@
-"""`deltatwin estimate`: the estimator on the bus."""
+"""`deltatwin estimate`: Run the online estimator: feed-forward torque, payload and model errors for every sample."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin ethercat-demo`: the whole chain on one wire, in a network namespace of its own, checked by itself."""
+"""`deltatwin ethercat-demo`: Run simulated drives, master, tap and estimator on one EtherCAT wire, and check them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin evaluate`: how far each model is off on logs."""
+"""`deltatwin evaluate`: Compare measured and predicted torque on logs, for each model."""
 
 from __future__ import annotations
 

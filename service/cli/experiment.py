@@ -1,4 +1,4 @@
-"""`deltatwin experiment`: the paper's experiment on the simulated robot."""
+"""`deltatwin experiment`: Repeat the paper's experiment on a simulated robot."""
 
 from __future__ import annotations
 

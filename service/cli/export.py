@@ -1,4 +1,4 @@
-"""`deltatwin export`: the described robot for a simulator, or the estimator as code for its controller."""
+"""`deltatwin export`: Export the robot to a simulator, or its estimator as code for a controller."""
 
 from __future__ import annotations
 

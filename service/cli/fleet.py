@@ -1,4 +1,4 @@
-"""`deltatwin fleet`: many robots, many days: which robot has changed, by which effect, since when."""
+"""`deltatwin fleet`: Compare the logs of many robots over many days, and report which robot has changed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin identify`: fit the model to logs."""
+"""`deltatwin identify`: Identify the parameters of the model from logs."""
 
 from __future__ import annotations
 

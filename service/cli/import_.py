@@ -1,4 +1,4 @@
-"""`deltatwin import`: foreign logs, whatever wrote them: what is in them, how to read them, and a log to go on with."""
+"""`deltatwin import`: Read a foreign log: propose columns, units and signs, and write a log and its mapping."""
 
 from __future__ import annotations
 

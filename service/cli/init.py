@@ -1,4 +1,4 @@
-"""`deltatwin init`: a first description of your machine, by questions or from a URDF."""
+"""`deltatwin init`: Write a first description of your machine, from questions, a URDF or a list of drives."""
 
 from __future__ import annotations
 

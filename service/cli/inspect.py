@@ -1,4 +1,4 @@
-"""`deltatwin inspect`: what a log holds and what is wrong with it."""
+"""`deltatwin inspect`: Show what a log contains and what is wrong with it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin keys`: certificates and configurations for roles on several hosts."""
+"""`deltatwin keys`: Make certificates and configurations for roles on several hosts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin latency`: how fast this machine answers."""
+"""`deltatwin latency`: Measure the latency of the estimator on this machine."""
 
 from __future__ import annotations
 

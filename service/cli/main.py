@@ -10,8 +10,9 @@ import gc
 import importlib
 import os
 import sys
+from collections.abc import Callable
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
@@ -24,7 +25,7 @@ from service.cli.terminal import wrap_terminals
 from service.stopping import INTERRUPTED, broke, end_at_once, terminate_as_interrupt
 
 GROUPS = {
-    "Begin": ("demo", "init", "import", "inspect", "convert", "doctor"),
+    "Start": ("demo", "init", "import", "inspect", "convert", "doctor"),
     "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "fleet", "plan-motion", "rollout"),
     "On the bus": ("replay", "estimate", "monitor", "watch", "top", "view", "recover", "keys", "latency"),
     "On EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
@@ -74,6 +75,8 @@ class _Commands(TyperGroup):
         hints = get_type_hints(function, include_extras=True)
         for parameter in found.params:
             parameter.metavar = parameter.metavar or _metavar(hints.get(parameter.name))
+            if parameter.param_type_name == "argument":
+                parameter.get_help_record = partial(_record, parameter.get_help_record)
         return found
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -84,6 +87,12 @@ class _Commands(TyperGroup):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+def _record(made: Callable[[Any], tuple[str, str] | None], ctx: Any) -> tuple[str, str] | None:
+    """How help lists an argument: by its name alone, without Python's word for its type behind it."""
+    record = made(ctx)
+    return record and (record[0].partition(" <")[0], record[1])
 
 
 def _metavar(hint: Any) -> str | None:

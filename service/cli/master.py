@@ -1,4 +1,4 @@
-"""`deltatwin master`: drive a Delta robot over EtherCAT, with feed-forward torque in every cycle."""
+"""`deltatwin master`: Drive a Delta robot over EtherCAT, with feed-forward torque in every cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin monitor`: record the bus to MCAP."""
+"""`deltatwin monitor`: Record the messages on the bus to an MCAP file."""
 
 from __future__ import annotations
 

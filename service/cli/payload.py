@@ -1,4 +1,4 @@
-"""`deltatwin payload`: picks and releases in logs, with the mass of each; the load of an arm."""
+"""`deltatwin payload`: Estimate payloads: each pick and release of a Delta, or the load of an arm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin plan-motion`: the run that tells apart what a diagnosis could not, or that identifies best."""
+"""`deltatwin plan-motion`: Plan the motion that best separates alternative causes, or that identifies best."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def command(
     effects: OwnEffects = None,
     json: AsJson = False,
 ) -> None:
-    """Plan the run that separates the causes these logs could not separate, and show how well it will separate them.
+    """Plan the motion that separates the causes that a diagnosis could not, and show how well it will separate them.
 
     The motion stays in the workspace of the description and within the limits of speed, acceleration and torque in its
     [limits] or in the options; it is for the empty robot and starts and ends at rest. A limit given in neither place is

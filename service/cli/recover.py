@@ -1,4 +1,4 @@
-"""`deltatwin recover`: repair a recording."""
+"""`deltatwin recover`: Repair an incomplete recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin replay`: play a log on the bus, on time."""
+"""`deltatwin replay`: Play a log on the bus in real time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin rollout`: what the simulated robot does where the real one did what a log says."""
+"""`deltatwin rollout`: Simulate the robot under the recorded torque and compare its motion with the log."""
 
 from __future__ import annotations
 

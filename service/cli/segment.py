@@ -1,4 +1,4 @@
-"""`deltatwin segment`: three simulated drives and their robot at the end of an Ethernet interface."""
+"""`deltatwin segment`: Simulate three EtherCAT drives and their robot on a network interface."""
 
 from __future__ import annotations
 

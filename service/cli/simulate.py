@@ -1,4 +1,4 @@
-"""`deltatwin simulate`: the simulated robot, into a log or live on the bus."""
+"""`deltatwin simulate`: Simulate a robot, into a log or live on the bus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin tap`: samples off a live EtherCAT bus."""
+"""`deltatwin tap`: Publish the samples of a live EtherCAT bus."""
 
 from __future__ import annotations
 

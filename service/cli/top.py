@@ -1,4 +1,4 @@
-"""`deltatwin top`: the running robot on the terminal: torque, mass, model error, health and latency of all roles."""
+"""`deltatwin top`: Show the running robot in the terminal: torque, payload, model errors, health, latency."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin verify`: what a controller answered with exported code, against what it should have."""
+"""`deltatwin verify`: Compare a controller's recorded answers with those of the exported code."""
 
 from __future__ import annotations
 

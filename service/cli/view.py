@@ -1,4 +1,4 @@
-"""`deltatwin view`: the bus live in Foxglove."""
+"""`deltatwin view`: Show the running robot live in Foxglove."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deltatwin watch`: the gap of the running robot, live; when it rises, what has changed."""
+"""`deltatwin watch`: Monitor the residual of the running robot, and diagnose what has changed when it rises."""
 
 from __future__ import annotations
 
