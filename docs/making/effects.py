@@ -199,8 +199,8 @@ def _parts(docstring: str) -> dict[str, str]:
 
 
 def _sentence(text: str) -> str:
-    """With a capital, but where a formula begins."""
-    return text[:1].upper() + text[1:] if re.match(r"[a-z]{2}|a ", text) else text
+    """With a capital, unless an equation begins it."""
+    return text[:1].upper() + text[1:]
 
 
 def _quantities(effect: Effect) -> str:

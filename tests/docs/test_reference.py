@@ -5,6 +5,7 @@ What is to be there comes from another side than the page: the text of `--help`,
 
 from __future__ import annotations
 
+import inspect
 import re
 from typing import Any
 
@@ -13,10 +14,12 @@ import pytest
 from typer.testing import CliRunner
 
 from docs.making import commands, effects, messages, models
+from docs.making.markdown import prose
 from docs.making.pages import FILES
 from schemas.messages import TOPICS, HealthFlag, SampleFlag
 from service.cli.main import app, summaries
 from service.model.effects import CATALOGUE, NAMES
+from service.model.effects.base import Effect
 
 
 @pytest.mark.parametrize("name", sorted(summaries()))
@@ -82,10 +85,32 @@ def test_every_effect_has_a_page() -> None:
             assert f"| `{name}` |" in page
         for heading in ("Physics and equation", "Check on the machine", "Parameters", "What it is confused with"):
             assert f"## {heading}\n" in page, effect.name
-        assert " = " in page.partition("## Physics and equation")[2].partition("\n## ")[0], (
-            f"{effect.name}: no equation"
-        )
+        physics = page.partition("## Physics and equation")[2].partition("\n## ")[0]
+        assert "<mo>&#x0003D;</mo>" in physics, f"{effect.name}: no equation"
         assert f"[`{effect.name}`]({effect.name}.md)" in effects.index()
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_a_page_of_an_effect_has_equations_and_no_names_of_the_code(effect: Effect) -> None:
+    """No equation in letters of a keyboard; between grave accents nothing but effects, parameters and commands."""
+    said = inspect.getmodule(type(effect)).__doc__ or ""  # type: ignore[union-attr]
+    text = re.sub(r"\$\$?.+?\$\$?", "", said, flags=re.DOTALL)
+    ascii_only = r"\w_\w|_dot|\b(?:theta|delta|epsilon|omega|tau|rho|alpha|sigma)\b|\^|\s=\s|sign v"
+    plain = re.sub(r"`\w+`", "", text)
+    assert not re.search(ascii_only, plain), f"{effect.name}: {re.findall(ascii_only, plain)}"
+    named = set(re.findall(r"`(\w+)`", text))
+    assert named <= {*NAMES, *effect.amplitudes, *effect.nonlinear}, effect.name
+    assert "$" not in effects.page(effect)
+
+
+def test_equations_are_part_of_their_sentence() -> None:
+    markdown = pytest.importorskip("markdown", reason="needs the dependency group docs: uv sync --group docs")
+    page = prose("a $x_1$ of\n$b < *c*$ and $$y = x^2$$ `_code_` $1/2$")
+    drawn = markdown.markdown(page)
+    assert drawn.count("<p>") == 1
+    assert "*" not in drawn.replace("&#x0002A;", "")
+    assert '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block"' in drawn
+    assert "<code>_code_</code>" in drawn
 
 
 def test_aliases_are_those_that_are_known() -> None:

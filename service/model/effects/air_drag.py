@@ -1,8 +1,9 @@
-"""Force on the platform against v |v|.
+r"""Air resistance of the platform: a force that grows with the square of its speed.
 
-Physics: drag of a large tool or a suction cup's sheet: F = c v |v|.
-Implementation: one regressor.
-Limitations: grows with speed squared; slow motion does not show it.
+Physics: the air resists a large tool or the sheet of a suction cup with the force $$\mathbf{F} =
+c\,|\mathbf{v}|\,\mathbf{v}$$ against the velocity $\mathbf{v}$ of the platform.
+Implementation: one regressor for the whole robot.
+Limitations: slow motion does not show it, as it grows with the square of the speed.
 """
 
 from __future__ import annotations

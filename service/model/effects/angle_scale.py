@@ -1,9 +1,10 @@
-"""A joint's angle has a wrong scale.
+r"""A joint's angle has a wrong scale.
 
-Physics: T = tau((1 + epsilon) theta) - tau(theta): the true angle is 1 + epsilon times the measured one, as gear ratio
-or resolution differs from the value entered.
-Implementation: that share of angle, speed and acceleration, through the slopes of the rigid torque.
-Limitations: first order in epsilon; over a small range of angles it mimics a wrong zero.
+Physics: $$T = \tau\bigl((1 + \varepsilon)\,\theta\bigr) - \tau(\theta)$$ The true angle is $1 + \varepsilon$ times the
+measured one, because gear ratio or resolution differ from the values entered. $\tau$ is the torque of the rigid-body
+model.
+Implementation: the errors of angle, speed and acceleration are multiplied by the slopes of the rigid-body torque.
+Limitations: first order in $\varepsilon$; over a small range of angles it mimics a wrong zero.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""Mass of one active link: inertia and gravity together.
+r"""Mass of one active link: inertia and gravity together.
 
-Physics: a uniform link of mass dm adds dm l1^2/3 theta_ddot - dm g . d/2, d = dJ'/dtheta: where the robot hangs level
--dm g l1/2 cos theta.
+Physics: a uniform link whose mass differs by $\delta m$ adds $$T = \tfrac{1}{3}\,\delta m\,l_1^2\,\ddot\theta -
+\tfrac{1}{2}\,\delta m\,\mathbf{g} \cdot \frac{\partial \mathbf{J}'}{\partial\theta}$$ with the length $l_1$, the elbow
+$\mathbf{J}'$ and gravity $\mathbf{g}$. Where the base is level, the second term is $-\tfrac{1}{2}\,\delta m\,g\,l_1
+\cos\theta$.
 Implementation: one regressor per joint.
-Limitations: the same on all joints is absorbed by rho_1 and rho_2 of the base model and leaves no gap.
+Limitations: the same mass on all joints is absorbed by $\rho_1$ and $\rho_2$ of the base model and leaves no gap.
 """
 
 from __future__ import annotations

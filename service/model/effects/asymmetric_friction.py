@@ -1,9 +1,10 @@
-"""Coulomb and viscous levels differ between the two directions.
+r"""Coulomb and viscous friction differ between the two directions.
 
-Physics: one flank of a gear or one side of a screw has more friction: T = delta_c + delta_v |v| on top of the
-symmetric part.
-Implementation: two regressors per joint; the friction forward is f + delta, backward f - delta.
-Limitations: delta_c alone is an alias of a constant torque offset; no motion separates the two.
+Physics: one flank of a gear or one side of a screw has more friction: $$T = \delta_c + \delta_v\,|\dot\theta|$$ in
+addition to the symmetric part.
+Implementation: two regressors per joint. The friction is the symmetric part plus $\delta$ forward, and minus $\delta$
+backward.
+Limitations: $\delta_c$ alone is an alias of a constant torque offset; no motion separates the two.
 """
 
 from __future__ import annotations

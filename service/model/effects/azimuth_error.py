@@ -1,7 +1,9 @@
-"""An arm is mounted at another azimuth than described.
+r"""An arm is mounted at another azimuth than described.
 
-Physics: T = tau(alpha + e) - tau(alpha): the arm's plane is turned about the base's axis, at base and platform alike.
-Implementation: as in `geometry`.
+Physics: $$T = \tau(\alpha + e) - \tau(\alpha)$$ The plane of the arm is turned by $e$ about the axis of the base, at
+base and platform alike. $\tau$ is the torque of the rigid-body model.
+Implementation: the torque of the rigid-body model with a slightly changed geometry, to second order in $e$; the two
+slopes are computed once per log.
 Limitations: if all arms are turned by the same angle, the whole base is turned; no torque shows that if gravity is
 along the axis.
 """

@@ -1,12 +1,13 @@
-"""Lost motion between motor and link.
+r"""Lost motion between motor and link.
 
-Physics: with delta = theta_motor - theta_link the gear transmits k (delta - half sign delta) + d delta_dot where
-|delta| > half, else nothing. The flanks part when the transmitted torque changes sign; the motor runs alone until they
-meet again, with an impact.
-Implementation: two masses with a dead zone of ±half and a stiff, damped contact, integrated behind the recorded
-motor motion; the rigid torque is corrected by the link's relative motion.
-Limitations: only seen where the transmitted torque changes sign; single impacts are matched in their momentum, not
-in their chatter.
+Physics: with $\delta = \theta_\mathrm{motor} - \theta_\mathrm{link}$ and half the lost motion $b$ the gear transmits
+$$T = \begin{cases} k\,(\delta - b\,\operatorname{sign}\delta) + d\,\dot\delta & |\delta| > b \\ 0 & \text{else}
+\end{cases}$$ The flanks part when the transmitted torque changes sign. The motor runs alone until they meet again, with
+an impact.
+Implementation: two masses with a dead zone of $\pm b$ and a stiff, damped contact are integrated along the recorded
+motion of the motor; the rigid-body torque is corrected by the relative motion of the link.
+Limitations: only visible where the transmitted torque changes sign. A single impact is matched in its momentum, not in
+its chatter.
 """
 
 from __future__ import annotations

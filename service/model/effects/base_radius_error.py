@@ -1,7 +1,9 @@
-"""A joint's axis is nearer to the centre, or farther from it, than described.
+r"""A joint's axis is nearer to the centre, or farther from it, than described.
 
-Physics: T = tau(r + e) - tau(r). The closed chain depends on base radius minus platform radius only.
-Implementation: as in `geometry`.
+Physics: $$T = \tau(r + e) - \tau(r)$$ The closed chain depends on $r$, base radius minus platform radius, only. $\tau$
+is the torque of the rigid-body model.
+Implementation: the torque of the rigid-body model with a slightly changed geometry, to second order in $e$; the two
+slopes are computed once per log.
 Limitations: no torque separates base radius and platform radius.
 """
 

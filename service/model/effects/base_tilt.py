@@ -1,8 +1,9 @@
-"""The base is not level.
+r"""The base is not level.
 
-Physics: T = tau(R g) - tau(g), R a rotation by two small angles about x and y: gravity is tilted, for every mass.
-Implementation: torque per rad, linear in the angles, with rho_2 on the active links; its product with masses that other
-effects add is taken at the operating point.
+Physics: $$T = \tau(\mathbf{R}\,\mathbf{g}) - \tau(\mathbf{g})$$ $\mathbf{R}$ is a rotation by two small angles about x
+and y: gravity $\mathbf{g}$ is tilted for every mass. $\tau$ is the torque of the rigid-body model.
+Implementation: torque per rad, linear in the angles, with $\rho_2$ on the active links; its product with masses that
+other effects add is taken at the operating point.
 Limitations: small angles; a rotation about the direction of gravity has no effect.
 """
 

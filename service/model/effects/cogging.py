@@ -1,7 +1,9 @@
-"""Torque ripple periodic in the motor angle.
+r"""Torque ripple periodic in the motor angle.
 
-Physics: magnets and slots, or the teeth of a gear: T = a cos(n N theta) + b sin(n N theta), N the gear ratio.
-Implementation: order n per motor turn, amplitude and phase as the two coefficients.
+Physics: magnets and slots, or the teeth of a gear, cause $$T = a \cos(n N \theta) + b \sin(n N \theta)$$ with the gear
+ratio $N$ and the order $n$.
+Implementation: order $n$ per motor turn; amplitude and phase are given by the two coefficients $a$ (cosine) and $b$
+(sine).
 Limitations: above half the sample rate it is aliased. Fast motion moves it above the analysis band; the band is
 extended where the ripple exceeds the residual of the model.
 """

@@ -1,8 +1,9 @@
-"""The true torque lags the reported one: the log contains the torque command.
+r"""The true torque lags the reported one: the log contains the torque command.
 
-Physics: a current loop or amplifier of first order, y' = 2 pi f (u - y), of which u is reported and y moves the robot.
-Implementation: the inverse of `torque_filter`.
-Limitations: above a few hundred Hz it mimics a torque that is reported 1 / (2 pi f) too early.
+Physics: a current loop or amplifier of first order, $$\dot y = 2 \pi f\,(u - y)$$ The command $u$ is reported, and the
+torque $y$ moves the robot. $f$ is the cut-off frequency.
+Implementation: the inverse of this filter is applied to the whole predicted torque.
+Limitations: above a few hundred Hz it mimics a torque that is reported $1 / (2 \pi f)$ too early.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Position error periodic in the motor angle.
+r"""Position error periodic in the motor angle.
 
-Physics: an encoder disc is off its axis: the true angle is the measured one plus
-e = a cos(n N theta) + b sin(n N theta).
-Implementation: the error and its two derivatives along the recorded motion, through the slopes of the rigid torque.
-Limitations: first order in the error; at speed its second derivative dominates, at rest nothing shows.
+Physics: the disc of the encoder is off its axis. The true angle is the measured one plus $$e = a \cos(n N \theta) + b
+\sin(n N \theta)$$ with the gear ratio $N$ and the order $n$.
+Implementation: the error and its two derivatives along the recorded motion are multiplied by the slopes of the
+rigid-body torque.
+Limitations: first order in the error. At speed its second derivative dominates; at rest nothing shows.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""A forearm's true length differs from the description.
+r"""A forearm's true length differs from the description.
 
-Physics: T = tau(l2 + e) - tau(l2): the platform is elsewhere and its path is tilted, which every joint feels.
-Implementation: as in `geometry`; the forearm's mass stays.
+Physics: $$T = \tau(l_2 + e) - \tau(l_2)$$ The platform is elsewhere and its path is tilted, which every joint feels.
+$\tau$ is the torque of the rigid-body model.
+Implementation: the torque of the rigid-body model with a slightly changed geometry, to second order in $e$; the two
+slopes are computed once per log. The forearm's mass stays the same.
 Limitations: the same error on all arms is mostly a different height of the platform.
 """
 

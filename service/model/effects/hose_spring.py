@@ -1,7 +1,8 @@
-"""A spring from a fixed point to the platform.
+r"""A spring from a fixed point to the platform.
 
-Physics: a hose or dress pack pulls the platform towards p_0; against it the robot exerts the force F = k (p - p_0).
-Implementation: linear in k and in the force at the origin, -k p_0.
+Physics: a hose or dress pack pulls the platform towards $\mathbf{p}_0$; against it the robot exerts the force
+$$\mathbf{F} = k\,(\mathbf{p} - \mathbf{p}_0)$$ at the platform's position $\mathbf{p}$.
+Implementation: linear in $k$ and in the force at the origin, $-k\,\mathbf{p}_0$.
 Limitations: a hose with slack, weight or damping is not a spring.
 """
 

@@ -1,9 +1,11 @@
-"""Compliance between motor and link.
+r"""Compliance between motor and link.
 
-Physics: with delta = theta_motor - theta_link the gear transmits k delta + d delta_dot: the link lags by torque /
-stiffness. The encoder on the motor does not measure the position of the link.
-Implementation: the link is integrated behind the recorded motor motion (spring and damper), and the rigid torque
-corrected by its relative motion; base friction stays on the motor side. First order only for the search.
+Physics: with $\delta = \theta_\mathrm{motor} - \theta_\mathrm{link}$ the gear transmits $$T = k\,\delta +
+d\,\dot\delta$$ The link lags by the torque over the stiffness. An encoder on the motor does not measure the position of
+the link.
+Implementation: the link with spring and damper is integrated along the recorded motion of the motor, and the rigid-body
+torque is corrected by its relative motion. The friction of the base model stays on the motor side. The search uses a
+first-order approximation.
 Limitations: linear spring; a natural frequency far above the analysis band mimics a small shift in time.
 """
 

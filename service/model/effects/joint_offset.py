@@ -1,7 +1,9 @@
-"""Homing error of a joint's zero.
+r"""Homing error of a joint's zero.
 
-Physics: T = tau(theta + e) - tau(theta): the true angle is the measured one plus a constant e.
-Implementation: as in `geometry`.
+Physics: $$T = \tau(\theta + e) - \tau(\theta)$$ The true angle is the measured one plus a constant $e$. $\tau$ is the
+torque of the rigid-body model.
+Implementation: the torque of the rigid-body model with a slightly changed geometry, to second order in $e$; the two
+slopes are computed once per log.
 Limitations: mostly a shift of this joint's gravity torque; over few angles it mimics a spring or an offset.
 """
 

@@ -1,7 +1,7 @@
-"""A spring on a joint.
+r"""A spring on a joint.
 
-Physics: T = k (theta - theta_0): a balancer, a stiff cable.
-Implementation: k and the constant -k theta_0 as two regressors per joint.
+Physics: a balancer or a stiff cable: $$T = k\,(\theta - \theta_0)$$
+Implementation: $k$ and the constant $-k\,\theta_0$ are two regressors per joint.
 Limitations: over a small range of angles it mimics a constant torque.
 """
 

@@ -1,8 +1,10 @@
-"""An active link's true length differs from the description.
+r"""An active link's true length differs from the description.
 
-Physics: T = tau(l1 + e) - tau(l1): the platform is elsewhere, levers and inertia change, which every joint feels.
-Implementation: as in `geometry`; the link's mass stays.
-Limitations: the same error on all arms is largely absorbed by rho_1 and rho_2.
+Physics: $$T = \tau(l_1 + e) - \tau(l_1)$$ The platform is elsewhere, and levers and inertia change, which every joint
+feels. $\tau$ is the torque of the rigid-body model.
+Implementation: the torque of the rigid-body model with a slightly changed geometry, to second order in $e$; the two
+slopes are computed once per log. The link's mass stays the same.
+Limitations: the same error on all arms is largely absorbed by $\rho_1$ and $\rho_2$.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Gear friction that grows with the torque through it.
+r"""Gear friction that grows with the torque through it.
 
-Physics: tooth friction is proportional to the tooth force; T = mu |load| sign v. The torque that accelerates the rotor
-does not pass through the teeth: with a high gear ratio, mainly the weight loads them.
-Implementation: load is the rigid-body torque of the base model at the operating point; of single axes and arms, whose
-rotors are not described, less a share of what acceleration takes.
+Physics: the friction of the teeth is proportional to the force on them: $$T =
+\mu\,|\tau|\,\operatorname{sign}\dot\theta$$ The torque that accelerates the rotor does not pass through the teeth. With
+a high gear ratio, mainly the weight loads them.
+Implementation: $\tau$ is the rigid-body torque of the base model at the operating point; for single axes and arms,
+whose rotors are not described, minus a share of the acceleration torque.
 Limitations: at a nearly constant load (gravity only) it mimics Coulomb friction.
 """
 

@@ -1,8 +1,9 @@
-"""Viscous friction that is not linear in speed.
+r"""Viscous friction that is not linear in speed.
 
-Physics: shear thinning, churning and turbulence; T = f |v|^p sign v in addition to the linear part.
-Implementation: p shared by the joints and refined; p = 1 is the base model and left out.
-Limitations: a small range of speeds does not determine p.
+Physics: shear thinning, churning and turbulence cause $$T = f\,|\dot\theta|^p \operatorname{sign}\dot\theta$$ in
+addition to the linear part.
+Implementation: the exponent $p$ is shared by the joints and refined; $p = 1$ is the base model and is not searched.
+Limitations: a small range of speeds does not determine $p$.
 """
 
 from __future__ import annotations

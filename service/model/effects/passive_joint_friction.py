@@ -1,11 +1,11 @@
-"""Friction in the forearms' ball joints.
+r"""Friction in the forearms' ball joints.
 
-Physics: each forearm turns against the active link at its elbow and against the platform, which loses
-the power P = T |omega| + d omega^2.
-Implementation: omega of a forearm is s x s_dot / l2^2 (no spin about itself); joint torques by virtual power, both
-ends of all forearms with the same coefficients, per ball joint pair. Dry friction fades below the speed `SOFT`, as the
-seat is compliant.
-Limitations: friction about the rod's own axis and unequal joints are left out.
+Physics: each forearm turns against the active link at its elbow and against the platform, which loses the power $$P =
+T_\mathrm{dry}\,|\boldsymbol{\omega}| + d\,|\boldsymbol{\omega}|^2$$
+Implementation: the angular velocity of a forearm is $\boldsymbol{\omega} = \mathbf{s} \times \dot{\mathbf{s}} / l_2^2$
+(no spin about itself). Joint torques follow by virtual power, with the same coefficients for all forearms, per pair of
+ball joints. Dry friction fades below 0.05 rad/s, as the seat of the ball is compliant.
+Limitations: friction about the rod's own axis and differences between the joints are not modelled.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""The Coulomb level varies with the joint angle.
+r"""Coulomb friction varies with the joint angle.
 
-Physics: a bent shaft or a worn tooth: T = (a cos n theta + b sin n theta) sign v.
-Implementation: order n per joint angle, amplitude and phase as the two coefficients a and b.
+Physics: a bent shaft or a worn tooth causes $$T = \bigl(a \cos n\theta + b \sin n\theta\bigr)
+\operatorname{sign}\dot\theta$$
+Implementation: order $n$ per turn of the joint; amplitude and phase are given by the two coefficients $a$ (cosine) and
+$b$ (sine).
 Limitations: one sine only; a narrow rough spot is not modelled.
 """
 

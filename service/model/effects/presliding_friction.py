@@ -1,8 +1,11 @@
-"""Friction builds up over a small displacement: hysteresis at reversal.
+r"""Friction builds up over a small displacement: hysteresis at reversal.
 
-Physics: bristles bend before they slip; Dahl: dF/dtheta = sigma_0 (1 - F sign v / f_c), sigma_0 = f_c / distance.
-Implementation: the Dahl state is integrated along the recorded motion; its difference from sign v is the
-regressor, so an amplitude equal to f_c replaces all Coulomb friction. distance shared by the joints.
+Physics: bristles bend before they slip. By Dahl's model, $$\frac{\mathrm{d}F}{\mathrm{d}\theta} = \frac{f_c}{s} \left(1
+- \frac{F}{f_c} \operatorname{sign}\dot\theta\right)$$ with the Coulomb friction $f_c$ and the displacement $s$ over
+which it builds up.
+Implementation: the state of Dahl's model is integrated along the recorded motion. Its difference from the sign of the
+speed is the regressor, so that an amplitude equal to $f_c$ replaces all Coulomb friction. The displacement is shared by
+the joints.
 Limitations: below the resolution of the encoder it is a jump; no velocity-dependent damping of the bristles. Friction
 that builds up over more than 0.2 rad is not a contact: a creeping cable looks like that.
 """

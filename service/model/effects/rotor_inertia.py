@@ -1,8 +1,8 @@
-"""Reflected rotor or gear inertia of one drive.
+r"""Reflected rotor or gear inertia of one drive.
 
-Physics: T = delta_i theta_ddot, no gravity.
+Physics: $$T = \delta I\,\ddot\theta$$ without gravity.
 Implementation: one regressor per joint.
-Limitations: the same on all joints is absorbed by rho_1 of the base model and leaves no gap.
+Limitations: the same inertia on all joints is absorbed by $\rho_1$ of the base model and leaves no gap.
 """
 
 from __future__ import annotations

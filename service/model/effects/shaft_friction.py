@@ -1,9 +1,9 @@
-"""Friction along the telescopic shaft of a fourth axis.
+r"""Friction along the telescopic shaft of a fourth axis.
 
-Physics: the shaft's halves slide in each other as the platform comes and goes: a force along the shaft against the
-speed l_dot of its length, F = d sign(l_dot) + f l_dot.
-Implementation: the shaft runs from the middle of the base to that of the platform, l_dot = p v / |p|; the dry part
-turns over `SMOOTH`.
+Physics: the halves of the shaft slide in each other as the platform approaches and recedes: a force along the shaft
+against the rate of its length $l$, $$F = d\,\operatorname{sign}\dot l + f\,\dot l$$
+Implementation: the shaft runs from the centre of the base to the centre of the platform: $\dot l = \mathbf{p} \cdot
+\mathbf{v} / |\mathbf{p}|$. The dry part changes sign smoothly, over 5 mm/s.
 Limitations: a shaft mounted elsewhere and friction in its universal joints are not modelled. For its mass: `tool_mass`.
 """
 

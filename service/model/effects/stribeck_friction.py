@@ -1,8 +1,10 @@
-"""Extra breakaway friction that dies out with speed.
+r"""Additional breakaway friction that decays with speed.
 
-Physics: at low speed the lubricant film does not carry; T = f_s exp(-(v / v_s)^2) sign v (Stribeck; Armstrong).
-Implementation: one regressor per joint, v_s shared by the joints and refined with all other parameters.
-Limitations: without motion slower than v_s it mimics Coulomb friction; without faster motion, a lower viscous friction.
+Physics: at low speed the lubricant film does not carry the load (Stribeck; Armstrong): $$T =
+f_s\,\mathrm{e}^{-(\dot\theta / v_s)^2} \operatorname{sign}\dot\theta$$
+Implementation: one regressor per joint; $v_s$ is shared by the joints and refined with all other parameters.
+Limitations: without motion slower than $v_s$ it mimics a lower viscous friction; without faster motion, Coulomb
+friction.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Mass at the platform.
+r"""Mass at the platform.
 
-Physics: T = dm J' (p_ddot - g).
+Physics: $$T = \delta m\,\mathbf{J}^\top (\ddot{\mathbf{p}} - \mathbf{g})$$ with the Jacobian $\mathbf{J}$ and the
+acceleration $\ddot{\mathbf{p}}$ of the platform, and gravity $\mathbf{g}$.
 Implementation: the payload term of the model.
-Limitations: with the same tool in all logs, rho_1 and rho_2 absorb part of it.
+Limitations: with the same tool in all logs, $\rho_1$ and $\rho_2$ absorb part of it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Torque and position are not sampled at the same instant.
+r"""Torque and position are not sampled at the same instant.
 
-Physics: T_reported(t) = T(t - delay): the two take different paths through drive and bus.
-Implementation: the whole prediction is shifted, also by fractions of a sample. A quarter of a sample
-or less is the timing within one sample, which is part of the base model.
-Limitations: torque sampled *before* position is the same effect with the opposite sign.
+Physics: the two take different paths through drive and bus: $$T_\mathrm{reported}(t) = T(t - t_\mathrm{d})$$ with the
+delay $t_\mathrm{d}$.
+Implementation: the whole prediction is shifted, also by fractions of a sample. A quarter of a sample or less is the
+timing within one sample, which is part of the base model.
+Limitations: torque sampled before position is the same effect with the opposite sign.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""The reported torque is low-passed.
+r"""The reported torque is low-pass filtered.
 
-Physics: a first-order filter in the drive, y' = 2 pi f (u - y).
-Implementation: `lagging` of the whole prediction.
-Limitations: above a few hundred Hz it mimics a delay of 1 / (2 pi f).
+Physics: a first-order filter in the drive, $$\dot y = 2 \pi f\,(u - y)$$ from the true torque $u$ to the reported
+torque $y$, with the cut-off frequency $f$.
+Implementation: this filter is applied to the whole predicted torque.
+Limitations: above a few hundred Hz it mimics a delay of $1 / (2 \pi f)$.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A constant torque error of a joint.
+r"""A constant torque error of a joint.
 
-Physics: T = offset: a current sensor's zero, an analogue offset.
+Physics: the zero of a current sensor or an analogue offset: $$T_\mathrm{reported} = T + T_0$$
 Implementation: one constant per joint.
 Limitations: not separable from Coulomb friction that differs between the directions.
 """

@@ -1,6 +1,6 @@
-"""Wrong torque constant or gear ratio.
+r"""Wrong torque constant or gear ratio.
 
-Physics: T_reported = (1 + epsilon) T on one joint.
+Physics: on one joint $$T_\mathrm{reported} = (1 + \varepsilon)\,T$$
 Implementation: scales the whole prediction of the joint.
 Limitations: the same scale on all joints is separable from a mass error only by known masses.
 """

@@ -1,7 +1,9 @@
-"""Viscous friction falls as the gear warms.
+r"""Viscous friction decreases as the gear warms up.
 
-Physics: oil thins with temperature; T = f exp(-t / tau) v in addition to the level of the warm gear.
-Implementation: t is the clock of the log, taken as time since power-on; tau shared by the joints.
+Physics: oil thins with temperature: $$T = f\,\mathrm{e}^{-t / t_\mathrm{w}}\,\dot\theta$$ in addition to the level of
+the warm gear, with the time constant $t_\mathrm{w}$ of the warm-up.
+Implementation: $t$ is the clock of the log, assumed to be the time since power-on; the time constant is shared by the
+joints.
 Limitations: logs that all start warm, or that have separate clocks, do not show it.
 """
 
