@@ -13,12 +13,14 @@ from pydantic import ValidationError
 
 from schemas.axes_description import Axes
 from schemas.chain_description import Chain
+from schemas.drive_list import ListedDrive
 from schemas.errors import RobotError
 from schemas.robot import Described, Robot, Source
 from schemas.toml import explain_one, validate
 from schemas.urdf import moving_joints, read_urdf, turning_joints
 
 MOST_AXES = 12
+DELTA_JOINTS = 3
 
 
 @dataclass(frozen=True)
@@ -97,13 +99,63 @@ def for_urdf(urdf: Path) -> tuple[Question, ...]:
     )
 
 
-def write_up(questions: Sequence[Question], answers: Mapping[str, str], out: Path, urdf: Path | None = None) -> str:
+def count_of(questions: Sequence[Question]) -> int:
+    """How many joints are asked for: by their names in an arm, by the axes, or three."""
+    for question in questions:
+        if question.key == "joints":
+            return len((question.default or "").split(","))
+    axes = {question.key.split(".")[1] for question in questions if question.key.startswith("axis.")}
+    return len(axes) or DELTA_JOINTS
+
+
+def gears(questions: Sequence[Question], drives: Sequence[ListedDrive], path: Path) -> dict[str, str]:
+    """The answers that a list of drives gives, by their keys. path: of the list.
+
+    Raises:
+        RobotError: it scales the bus of what is no Delta robot.
+    """
+    if questions is DELTA:
+        return {"drive.gear_ratio": str(drives[0].gear_ratio)}
+    if any(drive.on_bus for drive in drives):
+        raise RobotError(f"{path}: counts_per_turn: only for a Delta robot; for others see `import --counts-per-rev`")
+    if any(question.key == "joints" for question in questions):
+        return {"gear_ratio": ",".join(str(drive.gear_ratio) for drive in drives)}
+    return {f"axis.{drive.joint}.gear_ratio": str(drive.gear_ratio) for drive in drives}
+
+
+def _on_bus(drives: Sequence[ListedDrive]) -> str:
+    """Tables of the drives, where the list scales their messages."""
+    text = ""
+    for drive in drives if all(drive.on_bus for drive in drives) else ():
+        torque = (
+            f'reference = "rated_torque", rated_torque_nm = {drive.rated_torque_nm!r}'
+            if drive.rated_torque_nm is not None
+            else f'reference = "rated_current", rated_current_a = {drive.rated_current_a!r}, '
+            f'rated_current_form = "rms", torque_constant_nmpa = {drive.torque_constant_nmpa!r}, '
+            'torque_constant_form = "rms"'
+        )
+        text += (
+            f"\n[[drive.joint]]  # joint {drive.joint}\n"
+            f"counts_per_turn = {drive.counts_per_turn!r}  # encoder counts per motor turn\n"
+            f"gear_ratio = {drive.gear_ratio!r}  # motor turns per turn of the joint\n"
+            f"sign = {drive.sign}  # -1: the drive counts up while the active link rises\n"
+            f"zero_counts = {drive.zero_counts}  # at joint angle 0\n"
+            f"torque = {{ {torque} }}\n"
+        )
+    return text
+
+
+def write_up(
+    questions: Sequence[Question], answers: Mapping[str, str], out: Path, urdf: Path | None = None,
+    drives: Sequence[ListedDrive] = (),
+) -> str:  # fmt: skip
     """The text of a description that goes to `out`, checked.
 
     Raises:
         RobotError: an answer that is no number, or that describes an impossible machine; names key and value.
     """
     text, model = _written(questions, answers, out, urdf)
+    text += _on_bus(drives)
     validate(model, tomllib.loads(text), out, RobotError).read_from(Source(out.parent))
     return text
 
@@ -115,7 +167,8 @@ def fault(
     answered = [question for question in questions if question.key in answers]
     for question in answered:
         try:
-            _value(question, answers[question.key])
+            for part in answers[question.key].split(",") if question.key == "gear_ratio" else [answers[question.key]]:
+                _value(question, part)
         except RobotError as error:
             return question.key, str(error)
     text, model = _written(answered, answers, out, urdf)
@@ -170,7 +223,9 @@ def _arm(questions: Sequence[Question], answers: Mapping[str, str], urdf: Path, 
             lines.append(f"joints = {json.dumps(joints)}  # in the order of the log")
             lines += [f"held = {json.dumps(rest)}  # not in the log: at rest at zero"] if rest else []
         elif question.key == "gear_ratio":
-            lines.append(f"gear_ratio = {_value(question, answer)}  # {question.comment}; or a list, one per joint")
+            ratios = [_value(question, part) for part in answer.split(",")]
+            said = ratios[0] if len(ratios) == 1 else f"[{', '.join(ratios)}]"
+            lines.append(f"gear_ratio = {said}  # {question.comment}; or a list, one per joint")
         else:
             lines.insert(0, f"{question.key} = {_value(question, answer)}")
     return "\n".join([*lines, ""])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+
 import typer
 
+from service.cli.terminal import Wrapped
 from service.stopping import interrupted
 
 
@@ -17,6 +20,8 @@ def ask(question: str, default: str | None) -> str:
     except typer.Abort:
         interrupted()
         raise
+    finally:
+        _entered()
 
 
 def confirm(question: str, default: bool) -> bool:
@@ -29,3 +34,12 @@ def confirm(question: str, default: bool) -> bool:
     except typer.Abort:
         interrupted()
         raise
+    finally:
+        _entered()
+
+
+def _entered() -> None:
+    """Behind an answer both streams are at the start of a line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, Wrapped):
+            stream.entered()

@@ -24,6 +24,14 @@ def command(
     out: Annotated[Path, typer.Option(help="Description to write (TOML)")] = Path("robot.toml"),
     urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="URDF of a serial arm, instead of a Delta")] = None,
     axes: Annotated[int | None, typer.Option(metavar="N", help="Number of servo axes, instead of a Delta")] = None,
+    drives: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="CSV with one row per joint: joint, gear_ratio; of a Delta on a bus also counts_per_turn, sign, "
+            "zero_counts, and rated_torque_nm or rated_current_a and torque_constant_nmpa (of the motor, rms)",
+        ),
+    ] = None,
     answer: Annotated[
         list[str] | None,
         typer.Option(
@@ -39,19 +47,27 @@ def command(
     Example: deltatwin init --out robot.toml
 
     Example: deltatwin init --urdf ur10.urdf --answer name=cell-3 --out arm.toml
+
+    Example: deltatwin init --drives drives.csv --out robot.toml
     """
+    from schemas.drive_list import read_drives
     from schemas.errors import StorageError
-    from schemas.files import make_folder, write_text
-    from service.interview import DELTA, fault, for_axes, for_urdf, write_up
+    from schemas.files import check_apart, make_folder, write_text
+    from service.interview import DELTA, count_of, fault, for_axes, for_urdf, gears, write_up
 
     if urdf is not None and axes is not None:
         raise typer.BadParameter("an arm from its URDF or separate axes, not both", param_hint="--axes")
+    check_apart(out, *filter(None, (urdf, drives)))
     if out.exists():
         raise StorageError(f"{out}: exists already; give another name with --out")
     make_folder(out.parent)
     questions = for_urdf(urdf) if urdf is not None else for_axes(axes) if axes is not None else DELTA
-    answers = _asked(questions, _given(answer or [], questions), lambda known: fault(questions, known, out, urdf))
-    text = write_up(questions, answers, out, urdf)
+    given = _given(answer or [], questions)
+    listed = [] if drives is None else read_drives(drives, count_of(questions))
+    if drives is not None:
+        given |= gears(questions, listed, drives)
+    answers = _asked(questions, given, lambda known: fault(questions, known, out, urdf))
+    text = write_up(questions, answers, out, urdf, listed)
     write_text(out, text)
     conclude(f"wrote {out}: {len(answers)} answers.", "import", "YOUR_LOG", "--robot", out, own=OWN)
 

@@ -50,6 +50,10 @@ class Wrapped:
         self._column = len(last) + (0 if before else self._column)
         return len(text)
 
+    def entered(self) -> None:
+        """The user has ended the line."""
+        self._column = 0
+
     def _width(self) -> int:
         try:
             return int(os.environ["COLUMNS"])
