@@ -95,7 +95,7 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 
 def write_rollout(
-    result: RolloutDocument, path: Path, given: Mapping[str, Sequence[object]], logs: Sequence[object]
+    result: RolloutDocument, path: Path, given: Mapping[str, Sequence[object]], logs: Sequence[object] = ()
 ) -> None:
     """Write the page of a rollout. given, logs: see `headline`."""
     plots = {"growth": growth(result), "by_regime": _by_regime(result)}

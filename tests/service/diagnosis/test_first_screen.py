@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +13,7 @@ import pytest
 
 from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
-from service.diagnosis.documents.headline import headline
+from service.diagnosis.documents.headline import Given, headline
 from service.diagnosis.documents.over_time import _short, _thinned, worst_second
 from service.diagnosis.documents.report import write_report
 from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs
@@ -148,13 +149,18 @@ def test_the_first_plot_is_the_second_with_the_largest_gap(findings):
 
 def test_the_next_step_finds_the_correction_and_reads_logs_as_these_were_read(findings, tmp_path: Path):
     found = document.document(findings)
-    said = headline(found, Path("my cell/corrected.toml"), "scope.toml")
-    assert "`deltatwin evaluate LOG --robot 'my cell/corrected.toml' --columns scope.toml`" in said.step
+    given = Given(Path("my cell/corrected.toml"), [Path("fit.csv")], [], ("--columns", "scope.toml"))
+    said = headline(found, given)
+    assert said.following == "deltatwin evaluate fit.csv --robot 'my cell/corrected.toml' --columns scope.toml"
     write_report(findings, found, tmp_path / "report.html", said)
-    assert "deltatwin evaluate LOG --robot &#39;my cell/corrected.toml&#39; --columns scope.toml" in (
+    assert "<code>deltatwin evaluate fit.csv --robot &#39;my cell/corrected.toml&#39; --columns scope.toml</code>" in (
         tmp_path / "report.html"
     ).read_text("utf-8")
-    assert "--columns" not in headline(found).step
+    tested = headline(found, replace(given, tests=[Path("other day.csv")]))
+    assert tested.following.startswith("deltatwin evaluate 'other day.csv' --robot ")
+    none = headline(found)
+    assert none.following == "deltatwin evaluate LOG --robot corrected.toml"
+    assert none.own.startswith("LOG: ")
 
 
 def test_a_fixed_value_has_no_interval():

@@ -182,9 +182,9 @@ class TestVerdict:
         ("error", "late", "answer", "step"),
         [
             (5e-4, 0, "With the correction the platform follows 2 times as well as with the rigid model.",
-             "`deltatwin estimate --robot out/corrected.toml` gives this feed-forward."),
+             "run the estimator with this feed-forward:"),
             (2e-3, 0, "With the correction the platform follows worse than with the rigid model: 2 times the error.",
-             "keep `deltatwin estimate --robot out/identified.toml`: the correction makes the tracking worse here."),
+             "keep the rigid model: the correction makes the tracking worse here."),
             (1e-3, 0, "With the correction the platform follows as well as with the rigid model: this run shows no "
              "difference.", "a longer --duration narrows the interval."),
             (5e-4, 700, "These results are not valid: the computer was too slow.",
@@ -195,9 +195,11 @@ class TestVerdict:
         self, error: float, late: int, answer: str, step: str
     ) -> None:
         runs = [followed(FEEDBACK, 5e-3), followed(RIGID, 1e-3), followed(CORRECTED, error, late)]
-        said = verdict_of_correction(runs, "backlash in joint 2", ["backlash"], "out")
+        said = verdict_of_correction(runs, "backlash in joint 2", ["backlash"], (Path("i.toml"), Path("c.toml")))
         assert said.answer == answer
         assert said.step == step
+        following = {5e-4: "c.toml", 2e-3: "i.toml"}.get(error) if not late else None
+        assert said.following == (f"deltatwin estimate --robot {following}" if following else "")
         if late:
             assert said.lines[0] == "corrected tau_FF: 700 of 10000 cycles began late, 0.0 % had no feed-forward."
         else:
@@ -208,7 +210,7 @@ class TestVerdict:
 
     def test_the_page_begins_with_it(self, tmp_path: Path) -> None:
         runs = [followed(FEEDBACK, 5e-3), followed(RIGID, 1e-3), followed(CORRECTED, 5e-4)]
-        said = verdict_of_correction(runs, "backlash in joint 2", [], "out")
+        said = verdict_of_correction(runs, "backlash in joint 2", [], (Path("i.toml"), Path("c.toml")))
         write_page(page("d3", "ideal", (1.0,), runs, runs, said), tmp_path / "page.html")
         body = (tmp_path / "page.html").read_text(encoding="utf-8").partition("<body>")[2]
         first = body.partition('<section class="headline good">')

@@ -233,7 +233,7 @@ def closed_loop(rng: np.random.Generator, path: Path) -> list[Tracking]:
             Tracking(name, time, error, np.sqrt(np.mean(error**2, axis=0)), missed, missed, float(error.max()),
                      1.0 - share(rng) * 1e-3, 0.0004, late)
         )  # fmt: skip
-    said = verdict_of_models(runs) if models else verdict_of_correction(runs, "cogging in joint 1", [], "loop")
+    said = verdict_of_models(runs) if models else verdict_of_correction(runs, "cogging in joint 1", [], (path, path))
     write_findings(loop_page("d3", "ideal", (1.0,), runs, runs, said), path)
     return runs
 

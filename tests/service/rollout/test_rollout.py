@@ -123,7 +123,7 @@ def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
     told = runner.invoke(app, ["rollout", str(trace), *given])
     assert told.exit_code == 0, told.output
     export = f"deltatwin export {tmp_path / 'corrected.toml'} --effects {own} --to mjcf --out robot.xml"
-    assert f"next: `{export}`" in told.output
+    assert f"next: {export}\n" in told.output
     written = json.loads((tmp_path / "out" / "rollout.json").read_text())
     assert written["schema"] == "deltatwin.rollout/1"
     assert [entry["robot"] for entry in written["robots"]] == [PLAIN, "identified", "corrected"]
