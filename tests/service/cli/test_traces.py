@@ -26,6 +26,7 @@ from tests.service import arm
 from tests.service.model.test_description import OWN
 
 Run = Callable[..., "Done"]
+FIT = "--motion multisine --duration 10"  # long enough to identify on
 CARRIED = """
 [[effect]]
 name = "stribeck_friction"
@@ -284,10 +285,12 @@ def test_a_recording_of_another_ending_is_refused_before_it_begins(deltatwin: Ru
             "--payload 3.8 --truth ideal",
             "simulate --robot d3-1200 --truth ideal --motion multisine --out fit.csv",
         ),
-        ("d3-1200", "", "identify out.csv --robot d3-1200 --out identified.toml"),
+        ("d3-1200", FIT, "identify out.csv --robot d3-1200 --out identified.toml"),
+        ("d3-1200", "--truth ideal", "simulate --robot d3-1200 --truth ideal --motion multisine --out fit.csv"),
         ("identified.toml", "--payload 3.8", "payload out.csv --robot identified.toml"),
-        ("identified.toml", "", "identify out.csv --robot identified.toml --out identified_2.toml"),
-        ("small.toml", "--motion multisine", "identify out.csv --robot small.toml --out identified.toml"),
+        ("identified.toml", FIT, "identify out.csv --robot identified.toml --out identified_2.toml"),
+        ("small.toml", FIT, "identify out.csv --robot small.toml --out identified.toml"),
+        ("small.toml", "--motion multisine", "simulate --robot small.toml --motion multisine --out fit.csv"),
     ],
 )
 def test_what_follows_a_simulation_can_be_done(
@@ -361,7 +364,8 @@ def test_inspect_says_what_no_single_row_shows(
     done = deltatwin("inspect", "still.csv", "--robot", "d3-1200")
     assert note in done.stdout.replace("\n", " ")
     assert "nothing wrong found" not in done.stdout
-    assert ("next: deltatwin identify" in done.stdout) is (rows > 400 and value != "0.3")
+    assert "next: deltatwin identify" not in done.stdout
+    assert ("next: deltatwin evaluate" in done.stdout) is (rows > 400 and value != "0.3")
 
 
 def test_inspect_ends_with_what_can_be_done_with_what_it_read(deltatwin: Run, tmp_path: Path, log: Path) -> None:
@@ -376,4 +380,5 @@ def test_inspect_ends_with_what_can_be_done_with_what_it_read(deltatwin: Run, tm
     assert "next:" not in unread.stdout
     read = deltatwin("inspect", "foreign.csv", log.name, "--robot", "d3-1200")
     assert read.returncode == 1
-    assert "next: deltatwin identify log.csv --robot d3-1200 --out identified.toml\n" in read.stdout
+    assert "too little motion" in read.stdout
+    assert "next: deltatwin evaluate log.csv --robot d3-1200\n" in read.stdout
