@@ -60,3 +60,11 @@ def test_a_table_that_fits_has_a_line_a_row() -> None:
 def test_what_comes_next_can_be_copied(capsys: pytest.CaptureFixture[str]) -> None:
     conclude("It explains [them].", "diagnose", "a log.csv", "--robot", "r.toml")
     assert capsys.readouterr().out == "It explains [them].\nnext: deltatwin diagnose 'a log.csv' --robot r.toml\n"
+
+
+@pytest.mark.parametrize("width", [40, 60, 80])
+def test_figures_that_belong_together_stay_in_a_line(width: int) -> None:
+    stream, triplet = io.StringIO(), "28.1 / 26.9 / 17.1"
+    rows = [("a log of the day before.csv", triplet, triplet, triplet)]
+    Console(file=stream, width=width).print(table(("log", "torque", "residual", "held out"), rows))
+    assert stream.getvalue().count(triplet) == 3, stream.getvalue()
