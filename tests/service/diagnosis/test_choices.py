@@ -81,13 +81,15 @@ def test_an_effect_on_all_joints_has_to_gain_by_the_others(rough, lacks, single)
 )
 def test_an_effect_is_dead_on_a_joint_that_would_want_less_than_none_of_it(low, truth, dead):
     random, size = np.random.default_rng(0), len(truth[0])
-    grams = []
+    folds = []
     for _ in range(2):
         columns = random.standard_normal((40, 2 * size))
-        whole = np.column_stack([columns, columns @ np.concatenate(truth)])
-        grams.append(whole.T @ whole)
+        gram, moment = columns.T @ columns, columns.T @ (columns @ np.concatenate(truth))
+        folds.append(stub(left_out=lambda rows, g=gram, m=moment: (g[rows[:, :, None], rows[:, None]], m[rows])))
     index = {("effect", joint, ()): np.arange(joint * size, (joint + 1) * size) for joint in (0, 1)}
-    dictionary = stub(left_out=grams, index=index, low=np.array(low))
+    dictionary = stub(folds=folds, index=index, low=np.array(low))
+    dictionary._left_out = lambda chosen: candidates.Dictionary._left_out(dictionary, chosen)
+    dictionary._columns = lambda *asked: candidates.Dictionary._columns(dictionary, *asked)
     assert candidates.Dictionary._dead(dictionary, stub(effect="effect", joints=(0, 1), nonlinear=())) is dead
 
 
