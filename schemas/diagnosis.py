@@ -47,8 +47,8 @@ class Caution(DocumentPart):
     residual's share of the torque's rms, the share of the residual that depends on a quantity, the shrink that is too
     small, what the effect's torque shifted in time explains relative to the effect, or the share of bootstrap draws
     that prefer an alternative. run: the held-out log whose gap does not shrink. gain: of the control loop, torque per
-    position error, the lowest of all logs; gain_most: the highest. pitch_m: path of the platform after which a force
-    on it repeats. held_s: time after which the torque is updated.
+    position error in gain_unit, the lowest of all logs; gain_most: the highest. pitch_m: path of the platform after
+    which a force on it repeats. held_s: time after which the torque is updated.
     """
 
     code: CautionCode
@@ -60,6 +60,7 @@ class Caution(DocumentPart):
     run: str | None = None
     gain: float | None = None
     gain_most: float | None = None
+    gain_unit: str | None = None
     pitch_m: float | None = None
     held_s: float | None = None
 

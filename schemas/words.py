@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from decimal import Decimal
 
 
@@ -18,7 +19,27 @@ def percent(share: float, decimals: int = 0) -> str:
         return f"> {whole:.{decimals}f} %"
     if decimals == 0 and 0.0 < 100 * share < least / 2:
         return f"< {least:.0f} %"
-    return f"{round(100 * share, decimals) + 0.0:.{decimals}f} %"
+    return f"{fixed(100 * share, decimals)} %"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A value to so many decimals; nothing has no sign.
+
+    Example:
+        >>> fixed(-0.0004, 2), fixed(-1.25, 1)
+        ('0.00', '-1.2')
+    """
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def interval(shares: Iterable[float], decimals: int = 0) -> str:
+    """The bounds of a share, in percent, behind the share.
+
+    Example:
+        >>> interval((-0.0004, 0.123), 1)
+        '[0.0, 12.3]'
+    """
+    return f"[{', '.join(fixed(100 * share, decimals) for share in shares)}]"
 
 
 def part_of(share: float) -> str:

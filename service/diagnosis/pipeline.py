@@ -39,7 +39,7 @@ from service.identification.loops import loops_of, position_errors
 from service.identification.noise import Floor
 from service.identification.regression import products
 from service.identification.torque_source import command_ahead, is_commanded
-from service.model.description import hypothesis_of
+from service.model.description import gain_unit, hypothesis_of
 from service.model.effects.base import Effect
 from service.model.hypothesis import Term, read_out
 from service.model.mechanism import mechanism_of
@@ -168,7 +168,8 @@ def _searched(
     if given:
         plain = score(fit(problem, start), split)
     errors = position_errors(problem.recordings, traces)
-    scope = limits_of(problem, loops_of(problem, errors, plain.residuals))
+    units = [gain_unit(robot, joint) for joint in range(len(problem.sigma))]
+    scope = limits_of(problem, loops_of(problem, errors, plain.residuals), units)
     regressors = Regressors(problem, split, effects if scope.enough else (), start)
     selection = search(regressors, progress, scope.allows, more_orders)
     return _Searched(problem, floor, split, plain, scope, regressors, selection)

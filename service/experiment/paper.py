@@ -16,7 +16,7 @@ import numpy as np
 from drivers.motion import Payload
 from schemas.robot import Robot
 from schemas.trace import Trace
-from schemas.words import counted, percent, significant
+from schemas.words import counted, fixed, percent, significant
 from service.estimator.recursion import FORGETTING
 from service.experiment.diagrams import IDENTIFICATION, WEIGHING
 from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section, by_joint
@@ -222,7 +222,7 @@ def table_1(found: PaperResult) -> PageTable:
         head += [f"{model} μ", f"{model} σ"]
         mean, std = found.stress.moments(found.stress.torque[model])
         for joint in range(3):
-            rows[2 * joint] += [f"{mean[joint]:.2f}", f"{std[joint]:.2f}"]
+            rows[2 * joint] += [fixed(mean[joint], 2), fixed(std[joint], 2)]
             rows[2 * joint + 1] += [f"{value:.2f}" for value in published[joint]]
     identified = found.literal.identified
     assert identified is not None
@@ -238,7 +238,7 @@ def table_1(found: PaperResult) -> PageTable:
 def _table_2(found: PaperResult) -> PageTable:
     (mean, std), (aware_mean, aware_std) = (found.picks.moments(torque) for torque in _empty_and_loaded(found))
     rows = tuple(
-        (f"τ{joint + 1}", *(f"{values[joint]:.2f}" for values in (mean, std, aware_mean, aware_std)))
+        (f"τ{joint + 1}", *(fixed(values[joint], 2) for values in (mean, std, aware_mean, aware_std)))
         for joint in range(3)
     )
     note = (
@@ -502,7 +502,7 @@ def _since(trace: Trace) -> np.ndarray:
 
 
 def _three(values: Sequence[float] | np.ndarray) -> str:
-    return " / ".join(f"{value:.2f}" for value in values)
+    return " / ".join(fixed(value, 2) for value in values)
 
 
 def _time(seconds: float) -> str:

@@ -72,15 +72,17 @@ def of_payload(seen: Sequence[MassLevel]) -> str:
     if not picks:
         return "No pick was detected: no payload can be distinguished from the model's error."
     masses = [one.mass for one in picks]
-    span = f"{min(masses):.3f} kg" if len(picks) == 1 else f"{min(masses):.3f} to {max(masses):.3f} kg"
-    random = np.median([one.random_std_dev for one in picks])
+    random = [one.random_std_dev for one in picks]
+    found, whose = f"1 pick of {masses[0]:.3f} kg, known to ± {random[0]:.3f} kg", "its"
+    if len(picks) > 1:
+        found, whose = f"{len(picks)} picks of {min(masses):.3f} to {max(masses):.3f} kg, known to ± ", "their"
+        found += f"{np.median(random):.3f} kg (median; the worst to ± {max(random):.3f} kg)"
     trusted = np.average([one.trusted for one in picks], weights=[one.end - one.begin + 1e-9 for one in picks])
     shares = [one.common_std_dev / max(one.mass, one.random_std_dev) for one in picks]
     common = " to ".join(dict.fromkeys(percent(extreme(shares), 1) for extreme in (min, max)))
-    count = "1 pick" if len(picks) == 1 else f"{len(picks)} picks"
     return (
-        f"{count} of {span}, each known to ± {random:.3f} kg, with a common error of {common} of the mass "
-        f"(one standard deviation); trusted during {percent(trusted)} of their time."
+        f"{found}, with a common error of {common} of the mass "
+        f"(one standard deviation); trusted during {percent(trusted)} of {whose} time."
     )
 
 

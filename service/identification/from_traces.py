@@ -41,7 +41,7 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     loops = loops_of(fit.problem, errors if len(errors) == len(recordings) else [], fit.fitted.residuals)
     base = fit.fitted.hypothesis.base
     held = told_of_held({log.name: log.held for log in logs})
-    warnings = [*told(loops), *held, *checks.check_fit(logs, fit, pack(robot).moving_mass)]
+    warnings = [*told(loops, robot), *held, *checks.check_fit(logs, fit, pack(robot).moving_mass)]
     if method == "paper":
         fit, base = paper_method.refit(logs, fit), replace(base, transition=0.0, timing=0.0)
         warnings = [*warnings, *paper_method.edges(logs)]

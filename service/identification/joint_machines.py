@@ -42,7 +42,8 @@ def identify_axes(
     recordings, logs = recorded(axes, traces, rigs)
     fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
     held = told_of_held({trace.path.name: held_s(parts) for trace, parts in zip(traces, logs, strict=True)})
-    return written(axes, fit, fit.fitted.hypothesis.base, [*_commanded(fit, traces), *held, *_warnings(fit, traces)])
+    warnings = [*_commanded(axes, fit, traces), *held, *_warnings(fit, traces)]
+    return written(axes, fit, fit.fitted.hypothesis.base, warnings)
 
 
 def recorded(
@@ -81,10 +82,10 @@ def _of_log(axes: Axes | Chain, mechanism: Mechanism, rig: Rig | None, log: str)
     return on_rig(axes.separate, rig, log)
 
 
-def _commanded(fit: Plain, traces: Sequence[Trace]) -> list[str]:
+def _commanded(axes: Axes | Chain, fit: Plain, traces: Sequence[Trace]) -> list[str]:
     """Of torque that is the controller's answer to its position error."""
     errors = position_errors(fit.problem.recordings, traces)
-    return told(loops_of(fit.problem, errors, fit.fitted.residuals))
+    return told(loops_of(fit.problem, errors, fit.fitted.residuals), axes)
 
 
 def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from schemas.axes_description import Description
 from schemas.trace import Trace
+from schemas.words import significant
 from service.identification.fit import Problem, solve
+from service.model.description import gain_unit
 from service.model.scene import Recording
 
 LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
@@ -85,16 +88,16 @@ def _least_squares(basis: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, n
     return weight, wanted - basis @ weight
 
 
-def gains_in_words(low: float, high: float) -> str:
+def gains_in_words(low: float, high: float, unit: str) -> str:
     """Gains of one log or of several."""
-    return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
+    return " to ".join(dict.fromkeys(map(significant, (low, high)))) + f" {unit}"
 
 
-def told(loops: dict[int, tuple[float, float]]) -> list[str]:
+def told(loops: dict[int, tuple[float, float]], robot: Description) -> list[str]:
     """What to say of them."""
     return [
         f"the torque of joint {joint + 1} was not measured: it is the controller's response to its position error "
-        f"({gains_in_words(*gains)} N m per rad, or N per m, without lag). The parameters include the controller; "
+        f"({gains_in_words(*gains, gain_unit(robot, joint))}, without lag). The parameters include the controller; "
         "log the drive's measured current"
         for joint, gains in sorted(loops.items())
     ]

@@ -127,14 +127,15 @@ def headline(result: RolloutDocument, given: Mapping[str, Sequence[object]], log
         )
         said = f"'{best}' does not describe the robot of these logs."
         return Headline("bad", said, number, of, step, lines, ("evaluate", *logs, "--robot", *robot))
+    near = "" if floor is None else f" {AT_FLOOR:g} times the {significant(floor)} mm that noise alone causes."
     if floor is not None and error < AT_FLOOR * floor:
-        said = f"'{best}' moves as the robot does: the difference is within the noise of torque and start state."
+        said = f"'{best}' moves as the robot does: its error is less than{near}"
         command = ("export", *robot, "--to", "mjcf", "--out", "robot.xml")
         return Headline("good", said, number, of, f"write {best} for a simulator:", lines, command)
     if others and error < others[-1][1]:
         other, its = others[-1]
-        said = f"'{best}' is {significant(its / error, 2)} times nearer to the robot than '{other}', "
-        said += "but not within the noise."
+        said = f"'{best}' is {significant(its / error, 2)} times nearer to the robot than '{other}'"
+        said += f", but its error is more than{near}" if near else "."
     else:
         said = f"'{best}' does not move as the robot does."
     command = ("diagnose", *logs, "--robot", *robot, "--out", "diagnosis")

@@ -18,7 +18,7 @@ from schemas.diagnosis import (
     named_joints,
     placed,
 )
-from schemas.words import percent, significant, words
+from schemas.words import fixed, interval, percent, significant, words
 from service.diagnosis.documents.online_text import sentences_of
 from service.diagnosis.evidence.rivals import SURE
 from service.diagnosis.fit.selection import Z95
@@ -60,7 +60,7 @@ CAUTIONS = {
     "gravity": "The base model has to be corrected first: a different direction or magnitude of gravity explains "
     "{share} of the gap, no worse than effects do. No effect is named on a wrong base model.",
     "closed_loop": "The torque of {joints} was not measured: it is the controller's response to its position error "
-    "({gains} N m per rad, or N per m, without lag). Such a torque does not show its own delay or filter, the torque "
+    "({gains}, without lag). Such a torque does not show its own delay or filter, the torque "
     "constant, or anything between command and shaft (back-EMF looks like viscous friction).",
     "torque_held": "The torque is updated only every {held:.3g} ms and repeated in between: the repeated samples are "
     "late and were not used.",
@@ -324,19 +324,41 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     return [group for group in groups if group]
 
 
+def of_candidates(document: Diagnosis) -> str:
+    """What the shrinks of the candidates are, and why those that are not accepted are not."""
+    accepted = {effect.name for effect in document.effects}
+    refused = {one.name for one in document.ranking} - accepted
+    lines = [
+        "By how much each effect, added to those accepted before it, shrinks the gap on held-out data, with its joints "
+        "chosen on all data. That alone makes it no cause: it also has to shrink the gap where nothing was chosen by, "
+        "and to pass the other checks."
+    ]
+    lines += [_unadvised(one) for one in document.cannot_tell if one.effect in refused]
+    if document.verdict in ("unexplained", "partly_explained"):
+        lines.append(
+            f"In {percent(document.probability_unknown)} of the bootstrap draws the residual is above the noise: by "
+            "structure that is not in the catalogue."
+        )
+    return " ".join(dict.fromkeys(lines))
+
+
 def caution(found: Caution) -> str:
     """What cannot be told, and what to record or to check."""
+    return f"{_unadvised(found)} {ADVICE[found.advice]}"
+
+
+def _unadvised(found: Caution) -> str:
+    """What cannot be told."""
     joints, effect = named_joints(found.joints), words(found.effect or "")
-    said = CAUTIONS[found.code].format(
+    return CAUTIONS[found.code].format(
         joints=joints, Joints=joints.capitalize(), s="" if len(found.joints) > 1 else "s",
         effect=effect, Effect=effect.capitalize(), where=f" in {joints}" if joints else "",
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
         share=percent(found.share or 0.0), run=found.run,
-        gains=gains_in_words(found.gain or 0.0, found.gain_most or 0.0),
+        gains=gains_in_words(found.gain or 0.0, found.gain_most or 0.0, found.gain_unit or "N m per rad"),
         held=1000 * (found.held_s or 0.0), pitch=1000 * (found.pitch_m or 0.0),
         quantity=words(found.quantity or ""),
     )  # fmt: skip
-    return f"{said} {ADVICE[found.advice]}"
 
 
 def _online(document: Diagnosis) -> list[str]:
@@ -388,13 +410,12 @@ def _located(document: Diagnosis) -> list[str]:
     lines = []
     for one in document.located:
         kind, check = LOCATED[one.over]
-        low, high = (f"{100 * value:.0f}" for value in one.share_ci95)
         place = "the platform" if one.joint is None else f"joint {one.joint}"
         begin = "Alternatively (the data cannot separate the two): " if one.alternative else ""
         extremes = " and ".join(f"{_vector(e.value)} {one.unit} at {_vector(e.at)} {one.at_unit}" for e in one.extremes)
         span = "between" if len(one.extremes) > 1 else "at most"
         lines.append(
-            f"{begin}{percent(one.share)} [{low}, {high}] of the residual is {kind.format(place)}: "
+            f"{begin}{percent(one.share)} {interval(one.share_ci95)} of the residual is {kind.format(place)}: "
             f"{significant(one.rms)} {one.unit} rms, {span} {extremes}. {check}"
         )
     return lines
@@ -454,7 +475,7 @@ def _value(estimate: Estimate) -> str:
     if half <= 0:
         return f"{significant(estimate.value)}{unit}"
     decimals = max(0, 1 - math.floor(math.log10(half)) - (half / 10 ** math.floor(math.log10(half)) >= 2))
-    return f"{estimate.value:.{decimals}f} ± {half:.{decimals}f}{unit}"
+    return f"{fixed(estimate.value, decimals)} ± {fixed(half, decimals)}{unit}"
 
 
 def _unseen(test: Unseen, unit: str) -> list[str]:
@@ -482,10 +503,9 @@ def _forward(found: Simulated) -> str:
 
 
 def _goes(shrunk: Shrunk, unit: str) -> str:
-    low, high = (f"{100 * value:.0f}" for value in shrunk.shrink_ci95)
     return (
         f"from {significant(rms(shrunk.before_nm))} to {significant(rms(shrunk.after_nm))} {unit}, "
-        f"a shrink of {percent(shrunk.shrink)} [{low}, {high}]"
+        f"a shrink of {percent(shrunk.shrink)} {interval(shrunk.shrink_ci95)}"
     )
 
 

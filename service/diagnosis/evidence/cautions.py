@@ -49,9 +49,11 @@ class SearchScope:
         return joint not in self.still and not (joint in self.one_way and effect.directional)
 
 
-def limits_of(problem: Problem, loops: dict[int, tuple[float, float]] | None = None) -> SearchScope:
+def limits_of(
+    problem: Problem, loops: dict[int, tuple[float, float]] | None = None, units: Sequence[str] = ()
+) -> SearchScope:
     """Joints at rest, joints without reversals, too little motion, a held torque. loops: gains of closed loops, by
-    joint."""
+    joint. units: of such gains, of each joint."""
     joints = len(problem.sigma)
     forward, backward = np.zeros(joints), np.zeros(joints)
     for recording in problem.recordings:
@@ -76,8 +78,9 @@ def limits_of(problem: Problem, loops: dict[int, tuple[float, float]] | None = N
     if held:
         cautions.append(Caution(code="torque_held", held_s=round(held, 6), advice="log_quicker"))
     for joint, (low, high) in sorted((loops or {}).items()):
-        which = [joint + 1]
-        cautions.append(Caution(code="closed_loop", joints=which, gain=low, gain_most=high, advice="measure_torque"))
+        gains = {"gain": low, "gain_most": high, "gain_unit": units[joint]}
+        found = {"code": "closed_loop", "joints": [joint + 1], "advice": "measure_torque"}
+        cautions.append(Caution.model_validate(found | gains))
     return SearchScope(still, one_way, frozenset(loops or ()), enough, cautions)
 
 

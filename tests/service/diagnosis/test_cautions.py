@@ -53,13 +53,13 @@ def test_without_reversals_friction_is_not_looked_for():
 
 
 def test_of_a_torque_that_was_not_measured_nothing_is_said_to_be_done_to_it():
-    scope = limits_of(motion(SWING, SWING, SWING), {0: (40.0, 50.0)})
+    scope = limits_of(motion(SWING, SWING, SWING), {0: (40.0, 50.0)}, ["N per m", "N m per rad", "N m per rad"])
     assert not scope.allows(EFFECTS["torque_delay"], 0)
     assert not scope.allows(EFFECTS["torque_scale"], 0)
     assert scope.allows(EFFECTS["torque_scale"], 1)
     assert scope.allows(EFFECTS["joint_spring"], 0)
     (said,) = (one for one in scope.cautions if one.code == "closed_loop")
-    assert (said.joints, said.gain, said.gain_most) == ([1], 40.0, 50.0)
+    assert (said.joints, said.gain, said.gain_most, said.gain_unit) == ([1], 40.0, 50.0, "N per m")
 
 
 def test_a_torque_that_is_held_is_said_to_be():

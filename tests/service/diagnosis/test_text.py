@@ -35,6 +35,18 @@ def document(**changed: Any) -> Diagnosis:
     return Diagnosis.model_validate(made | changed)
 
 
+def test_a_candidate_that_is_not_accepted_has_a_reason_and_no_probability() -> None:
+    ranking = [{"name": name, "joints": [2], "probability": 0.99, "after_nm": 1.0, "shrink": shrink}
+               for name, shrink in (("cogging", 0.4), ("presliding_friction", 0.004))]  # fmt: skip
+    other = {"code": "one_run", "advice": "record_runs"}
+    weak = other | {"code": "no_shrink", "effect": "presliding_friction", "joints": [2], "share": 0.004}
+    said = text.of_candidates(document(ranking=ranking, cannot_tell=[weak, other]))
+    assert "99 %" not in said
+    assert "Presliding friction in joint 2 fits, but it does not shrink the gap on held-out data (< 1 %)" in said
+    assert "only one run" not in said
+    assert "In 100 % of the bootstrap draws the residual is above the noise" in said
+
+
 def test_a_named_effect_is_told_in_one_line() -> None:
     (line, gap), *_ = text.paragraphs(document())[2:]
     assert line == (

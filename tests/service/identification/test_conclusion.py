@@ -79,10 +79,12 @@ def test_what_was_picked_in_a_sentence() -> None:
     one = MassLevel(1.0, 2.0, 1.5, 0.05, 0.02, 0.05, 0.9, PayloadEvent.PICK)
     empty = replace(one, mass=0.0, event=PayloadEvent.RELEASE)
     assert of_payload([one, empty]) == (
-        "1 pick of 1.500 kg, each known to ± 0.020 kg, with a common error of 3.3 % of the mass (one standard "
-        "deviation); trusted during 90 % of their time."
+        "1 pick of 1.500 kg, known to ± 0.020 kg, with a common error of 3.3 % of the mass (one standard "
+        "deviation); trusted during 90 % of its time."
     )
     longer = replace(one, begin=5.0, end=8.0, mass=0.25, trusted=0.5)
+    first = replace(one, random_std_dev=0.098)
+    assert "known to ± 0.020 kg (median; the worst to ± 0.098 kg)" in of_payload([first, one, empty, longer])
     two = of_payload([one, empty, longer])
     assert "2 picks of 0.250 to 1.500 kg" in two
     assert "with a common error of 3.3 % to 20.0 % of the mass" in two, "as the rows of the table have it"

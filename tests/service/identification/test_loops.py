@@ -75,8 +75,8 @@ def test_a_gain_is_that_of_a_log():
     logs = problem(runs, torques)
     found = loops_of(logs, errors, evaluate(logs, Hypothesis(BASE)).residuals)
     assert found == {1: pytest.approx(gains, rel=0.01)}
-    assert "(40 to 160 N m per rad" in told(found)[0]
-    assert "(40 N m per rad" in told({1: (40.0, 40.001)})[0]
+    assert "(40 to 160 N m per rad" in told(found, ROBOT)[0]
+    assert "(40 N m per rad" in told({1: (40.0, 40.001)}, ROBOT)[0]
 
 
 def commanded(seed: int, gain: float) -> Trace:
@@ -100,13 +100,16 @@ def test_identify_says_that_a_torque_is_a_command():
         assert not any("controller's response" in line for line in found.warnings), "not all logs have commands"
 
 
-def test_of_an_axis_too():
+@pytest.mark.parametrize(
+    ("unit", "gain", "said"), [("rad", 50.0, "(50 N m per rad, without"), ("m", 1.48e6, "(1480000 N per m, without")]
+)
+def test_of_an_axis_too_in_its_unit(unit, gain, said):
     time, random = np.arange(0.0, 8.0, 1e-3), np.random.default_rng(2)
     angle = np.sin(2 * np.pi * 0.7 * time) + 0.4 * np.sin(2 * np.pi * 1.9 * time)
     torque = 0.2 * np.gradient(np.gradient(angle, 1e-3), 1e-3) + 0.05 * random.standard_normal(len(time))
-    axes = Axes.model_validate({"name": "one", "kind": "axes", "axis": [{"gravity": False}]})
-    for error, said in ((torque / 50.0, 1), (0.01 * random.standard_normal(len(time)), 0)):
+    axes = Axes.model_validate({"name": "one", "kind": "axes", "axis": [{"unit": unit, "gravity": False}]})
+    for error, count in ((torque / gain, 1), (0.01 * random.standard_normal(len(time)), 0)):
         log = Trace(Path("log"), time, angle[:, None], torque[:, None], position_command=(angle + error)[:, None])
         lines = [line for line in identify_axes(axes, [log]).warnings if "controller's response" in line]
-        assert len(lines) == said
-        assert all("(50 N m per rad" in line for line in lines)
+        assert len(lines) == count
+        assert all(said in line for line in lines)
