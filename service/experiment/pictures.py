@@ -18,7 +18,6 @@ from service.pages.palette import Colour
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-MOST_POINTS = 4000  # of a line in the HTML page
 PANEL_HEIGHT = 180  # px in the page
 CELL_INCHES = 0.75  # height of a row of a diagram
 GAP = 75  # px between two panels, for the upper one's scale and label and the lower one's title
@@ -190,8 +189,7 @@ def _interactive(figure: Figure) -> Any:
             bar = {"title": heat.name, "len": 0.9 / count, "y": place}
             drawn.add_trace(go.Heatmap(x=heat.x, y=heat.y, z=heat.z, colorscale="Viridis", colorbar=bar), row, 1)
         for line in panel.lines:
-            every = max(1, len(line.x) // MOST_POINTS)
-            common = {"x": line.x[::every], "y": line.y[::every], "name": line.name, "legendgroup": line.name}
+            common = {"x": line.x, "y": line.y, "name": line.name, "legendgroup": line.name}
             common["showlegend"] = line.name not in told
             told.add(line.name)
             colour = line.colour

@@ -10,7 +10,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from base64 import b64decode, b64encode
+from base64 import b64encode
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -23,7 +23,8 @@ from plotly.io import templates
 from schemas.diagnosis import named_joints
 from schemas.errors import StorageError
 from schemas.files import make_folder, whole, write_text
-from schemas.words import counted, percent, significant, words
+from schemas.words import counted, fixed, interval, percent, significant, words
+from service.pages.curves import WIDTH, reduced
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 CONFIG = {"responsive": True, "displaylogo": False}
-LOOK = {"font": {"size": 12}, "margin": {"l": 60, "r": 20, "t": 40, "b": 45}}  # of plots that say nothing else
+BELOW = {"ticklabelstandoff": 4}  # px: in a corner ticks of two axes would meet
+# Of plots that say nothing else.
+LOOK = {"font": {"size": 12}, "margin": {"l": 60, "r": 20, "t": 40, "b": 45}, "xaxis": BELOW}
 POWERS = range(-12, 13)  # of ten, that a logarithmic axis has ticks at
 CLOSE = 3.0  # decades of an axis on which ticks at 1, 2 and 5 have room
 NONCE = secrets.token_urlsafe(16)  # of this process's pages: a script that a log's text smuggles in does not have it
@@ -43,6 +46,8 @@ POLICY = (
 LEGEND_Y = 34  # px below the upper edge of a plot, under Plotly's buttons
 templates.default = None  # a figure gets its look when it is written: every one would copy and check Plotly's own
 PROGRAM = "plotly-cartesian.min.js.gz"  # plotly.js with lines, bars and maps alone, a third of the whole (MIT licence)
+MOST_BYTES = 1_500_000  # of a page: it is sent by mail, and opens at once
+LEAST_WIDTH = 100  # px, for which curves are drawn at the coarsest
 DEFAULT_HEIGHT = 450  # px, Plotly's
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")  # that print without a window
 PRINTING_S = 120.0  # a page takes seconds
@@ -101,12 +106,17 @@ class Headline:
 
 
 def write_page(template: str, path: Path, headline: Headline, **fields: Any) -> None:
-    """Fill `templates/<template>.html` with `fields` and write it to `path`. Whatever is no markup is escaped.
+    """Fill `templates/<template>.html` with `fields` and write it to `path`. Whatever is no markup is escaped. Curves
+    have no more points than a screen shows, and so few that the page is not above `MOST_BYTES`.
 
     Raises:
         StorageError: it cannot be written.
     """
-    text = _environment().get_template(f"{template}.html").render(fields, headline=headline)
+    page, width = _environment().get_template(f"{template}.html"), WIDTH
+    text = page.render(fields, headline=headline, width=width)
+    while len(text.encode()) > MOST_BYTES and width > LEAST_WIDTH:  # so many curves: each is drawn coarser
+        width //= 2
+        text = page.render(fields, headline=headline, width=width)
     make_folder(path.parent)
     write_text(path, text)
 
@@ -168,7 +178,7 @@ def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader(__name__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    for filter_ in (named_joints, words, counted, percent, significant):
+    for filter_ in (named_joints, words, counted, percent, significant, interval, fixed):
         environment.filters[filter_.__name__] = filter_
     environment.filters |= {"plot": _plot, "code": _code}
     environment.globals |= {"policy": POLICY, "nonce": NONCE}
@@ -184,30 +194,19 @@ def _code(text: str) -> Markup:
     return Markup("").join(Markup("<code>{}</code>").format(part) if n % 2 else part for n, part in enumerate(parts))
 
 
-def _plot(figure: go.Figure) -> Markup:
-    """A place for the plot and, packed, what `plots.js` draws there."""
+def _plot(figure: go.Figure, width: int) -> Markup:
+    """A place for the plot and, packed, what `plots.js` draws there. width: px, for which curves are drawn."""
     from markupsafe import Markup
     from plotly.utils import PlotlyJSONEncoder
 
     drawn: Any = figure.to_plotly_json()
     drawn["layout"]["template"] = _look()
-    text = json.dumps(
-        {"data": _single(drawn["data"]), "layout": drawn["layout"], "config": CONFIG}, cls=PlotlyJSONEncoder
-    )
+    whole = {"data": reduced(drawn, width), "layout": drawn["layout"], "config": CONFIG}
+    text = json.dumps(whole, cls=PlotlyJSONEncoder, separators=(",", ":"))
     packed = b64encode(gzip.compress(text.encode("utf-8"), mtime=0)).decode("ascii")
     height = drawn["layout"].get("height", DEFAULT_HEIGHT)
     place = f'<div class="plotly-graph-div" style="height:{height:g}px"></div>'
     return Markup(f'{place}<script type="text/plain" class="plot-data">{packed}</script>')
-
-
-def _single(values: Any) -> Any:
-    """Data of a figure, its arrays of numbers in single precision: a screen shows less."""
-    if isinstance(values, dict):
-        if values.get("dtype") == "f8":
-            single = np.frombuffer(b64decode(values["bdata"]), np.float64).astype(np.float32)
-            return values | {"dtype": "f4", "bdata": b64encode(single.tobytes()).decode("ascii")}
-        return {key: _single(value) for key, value in values.items()}
-    return [_single(value) for value in values] if isinstance(values, (list, tuple)) else values
 
 
 @cache

@@ -263,6 +263,7 @@ def _by_regime(result: RolloutDocument) -> go.Figure:
     for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):
         values = [entry.joint_mrad[robot.robot] for entry in result.regimes]
         figure.add_bar(x=labels, y=values, name=robot.robot, marker_color=colour)
+    figure.update_xaxes(ticklabelstandoff=0)  # the inner of its two rows of labels alone would move
     figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad")
     logarithmic(figure, "y")
     figure.update_layout(barmode="group", height=420)

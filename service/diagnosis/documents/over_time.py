@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -15,7 +13,6 @@ from service.pages.palette import Colour
 
 MOST_NAMES = 12  # on the time axis
 MOST_LETTERS = 24  # of each
-MOST_POINTS = 5000  # a line
 WORST_S = 1.0  # that are shown first
 ROW_HEIGHT = 190  # px, of a joint
 
@@ -42,7 +39,7 @@ def worst_second(findings: Findings) -> tuple[str, go.Figure] | None:
             lines[name] = predicted
         for name, torque in lines.items():
             figure.add_scatter(
-                x=np.round(clock, 4), y=np.round(torque, 4), name=name, legendgroup=name, showlegend=joint == 0,
+                x=clock, y=torque, name=name, legendgroup=name, showlegend=joint == 0,
                 line={"width": 1.4, "color": Colour[name.upper()]}, row=joint + 1, col=1,
             )  # fmt: skip
         figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
@@ -117,14 +114,13 @@ def gap_over_time(findings: Findings) -> go.Figure:
                 clock = recording.segment.time[:: problem.band.step][problem.rows[index][:, joint]]
                 gap = np.flatnonzero(np.diff(clock) > 3 * problem.band.period * problem.band.step) + 1
                 errors = residuals[index][joints[index] == joint] * problem.sigma[joint]
-                clock, errors, gap = _thinned(clock, errors, gap, -(-problem.count // n // MOST_POINTS))
                 time += [np.insert(clock + shifts[index], gap, np.nan), [np.nan]]
                 own += [np.insert(clock, gap, np.nan), [np.nan]]
                 value += [np.insert(errors, gap, np.nan), [np.nan]]
             trace = go.Scatter(
-                x=np.round(np.concatenate(time), 3), y=np.round(np.concatenate(value), 4), name=name,
+                x=np.concatenate(time), y=np.concatenate(value), name=name,
                 line={"width": 1, "color": Colour[name.upper()]}, legendgroup=name, showlegend=joint == 0,
-                customdata=np.round(np.concatenate(own), 3), hovertemplate="%{customdata} s: %{y}",
+                customdata=np.concatenate(own), hovertemplate="%{customdata} s: %{y}",
             )  # fmt: skip
             figure.add_trace(trace, row=joint + 1, col=1)
             figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
@@ -134,7 +130,7 @@ def gap_over_time(findings: Findings) -> go.Figure:
             tickvals=[starts[name] for name in shown], ticktext=[_short(name) for name in shown], gridcolor="#8c959f",
             range=[-0.01 * total, total],
         )  # fmt: skip
-        figure.update_xaxes(title_text="logs one after another; the pointer shows the time within a log", row=n, col=1)
+        figure.update_xaxes(title_text="one log after another; hover for the time in a log", row=n, col=1)
     else:
         figure.update_xaxes(title_text=f"time in {next(iter(starts))}, s", row=n, col=1)
     figure.update_layout(under_buttons(ROW_HEIGHT * n + 90))
@@ -162,17 +158,3 @@ def _one_after_another(findings: Findings) -> tuple[list[float], dict[str, float
         starts[name] = at
         at += last - first
     return [starts[r.name] - spans[r.name][0] for r in findings.problem.recordings], starts, at
-
-
-def _thinned(
-    clock: np.ndarray, errors: np.ndarray, gap: np.ndarray, step: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The largest of every `step` errors between two breaks, so that peaks stay; breaks before the rows `gap`."""
-    block, count = np.zeros(len(clock), int), 0
-    for start, end in pairwise([0, *gap, len(clock)]):
-        blocks = -(-(end - start) // step)
-        block[start:end] = count + np.arange(end - start) * blocks // max(end - start, 1)
-        count += blocks
-    order = np.lexsort((-np.abs(errors), block))  # of each block the largest comes first
-    kept = order[np.diff(block[order], prepend=-1) > 0]
-    return clock[kept], errors[kept], np.searchsorted(kept, gap)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -13,7 +14,15 @@ from schemas.diagnosis import Diagnosis
 from schemas.words import percent, significant, words
 from service.diagnosis.documents.headline import headline
 from service.diagnosis.documents.over_time import gap_over_time, worst_second
-from service.diagnosis.documents.text import ONLINE, answer, base_in_words, in_words, paragraphs, share_of_gap
+from service.diagnosis.documents.text import (
+    ONLINE,
+    answer,
+    base_in_words,
+    in_words,
+    of_candidates,
+    paragraphs,
+    share_of_gap,
+)
 from service.diagnosis.evidence.where import RowStates
 from service.diagnosis.findings import Findings
 from service.identification.frequency import cross_density
@@ -24,11 +33,13 @@ from service.pages import Headline, logarithmic, under_buttons, write_page
 from service.pages.palette import EFFECTS, Colour
 
 BINS = 24
+COLUMNS = 3  # of joints next to each other: a phone has room for no more
+BETWEEN = 58  # px between rows of plots, for ticks and the title of the joint below
 WINDOW = 512  # samples of a spectrum, where a run has as many
 FIXED = {
     "noise": Colour.NOISE, "reversals": Colour.REVERSAL, "unexplained": Colour.FAULT, "refit": Colour.REFITTED,
 }  # fmt: skip
-BEYOND = "structure that is not in the catalogue"
+CANDIDATES = "Candidates, and whether the checks accepted them"
 
 
 def write_report(findings: Findings, document: Diagnosis, path: Path, said: Headline | None = None) -> None:
@@ -49,7 +60,7 @@ def of_document(document: Diagnosis) -> dict[str, go.Figure | None]:
         "Gap of each joint": levels(document),
         "Composition of the gap": _budget(document),
         "Where the gap lies": _regimes(document),
-        "Candidates, and whether the checks accepted them": _ranking(document),
+        CANDIDATES: _ranking(document),
         "Frequency response from torque to speed": _response(document),
     }
 
@@ -62,8 +73,8 @@ def write_diagnosis(
     _, *rest = paragraphs(document, figures=False)
     write_page(
         "diagnosis", path, said or headline(document), document=document, answer=answer(document), paragraphs=rest,
-        first=first, plots=plots, said=ONLINE, in_words=in_words, base_in_words=base_in_words,
-        share_of_gap=share_of_gap,
+        first=first, plots=plots, notes={CANDIDATES: of_candidates(document)}, said=ONLINE, in_words=in_words,
+        base_in_words=base_in_words, share_of_gap=share_of_gap,
     )  # fmt: skip
 
 
@@ -127,6 +138,28 @@ def _regimes(document: Diagnosis) -> go.Figure | None:
     return figure
 
 
+def _cell(joint: int, rows: int = 1, line: int = 0) -> tuple[int, int]:
+    """Row and column, from 1, of a line of plots of a joint, from 0, which has so many `rows` of them."""
+    block, column = divmod(joint, COLUMNS)
+    return rows * block + line + 1, column + 1
+
+
+def _by_joint(joints: int, rows: int, height: float, **more: Any) -> go.Figure:
+    """Axes in `rows` for each joint, the joints next to each other as far as a phone is wide, in a plot `height` px
+    high. more: as for Plotly's subplots."""
+    columns, blocks = min(joints, COLUMNS), -(-joints // COLUMNS)
+    there = [[block * COLUMNS + column < joints for column in range(columns)] for block in range(blocks)]
+    cells = [block for block in there for _ in range(rows)]
+    titles = [
+        f"joint {block * COLUMNS + column + 1}" if row == 0 else ""
+        for block in range(blocks) for row in range(rows) for column in range(columns) if there[block][column]
+    ]  # fmt: skip
+    return make_subplots(
+        rows=rows * blocks, cols=columns, subplot_titles=titles, vertical_spacing=BETWEEN / height,
+        specs=[[{} if one else None for one in line] for line in cells], **more,
+    )  # fmt: skip
+
+
 def _mean_map(x: np.ndarray, y: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     edges = (np.linspace(x.min(), x.max() + 1e-9, BINS + 1), np.linspace(y.min(), y.max() + 1e-9, BINS + 1))
     total, *_ = np.histogram2d(x, y, bins=edges, weights=value)
@@ -138,10 +171,9 @@ def _mean_map(x: np.ndarray, y: np.ndarray, value: np.ndarray) -> tuple[np.ndarr
 def _maps(findings: Findings) -> go.Figure:
     rows = RowStates.of(findings.problem, findings.best.hypothesis)
     n = len(findings.problem.sigma)
-    figure = make_subplots(
-        rows=2, cols=n, vertical_spacing=0.06,
-        subplot_titles=[f"joint {j + 1}" for j in range(n)], row_titles=["before", "after"],
-    )  # fmt: skip
+    blocks = -(-n // COLUMNS)
+    height = 480 * blocks + 80
+    figure = _by_joint(n, 2, height, row_titles=["before", "after"] * blocks)
     for line, residuals in enumerate((findings.before, findings.after)):
         residual = np.concatenate(residuals)
         for joint in range(n):
@@ -149,12 +181,15 @@ def _maps(findings: Findings) -> go.Figure:
             if not mine.any():
                 continue
             x, y, z = _mean_map(rows.theta[mine], rows.speed[mine], residual[mine] * findings.problem.sigma[joint])
-            figure.add_trace(go.Heatmap(x=x, y=y, z=z, coloraxis="coloraxis"), row=line + 1, col=joint + 1)
-    figure.update_xaxes(title_text=f"position, {in_units_of(findings.robot, 'rad')}", row=2)
+            row, column = _cell(joint, 2, line)
+            figure.add_trace(go.Heatmap(x=x, y=y, z=z, coloraxis="coloraxis"), row=row, col=column)
+            if line and joint + COLUMNS >= n:
+                title = f"position, {in_units_of(findings.robot, 'rad')}"
+                figure.update_xaxes(title_text=title, row=row, col=column)
     figure.update_yaxes(title_text=f"speed, {in_units_of(findings.robot, 'rad/s')}", col=1)
     limit = float(np.quantile(np.abs(np.concatenate(findings.before)), 0.97) * findings.problem.sigma.max())
     figure.update_layout(
-        height=560,
+        height=height,
         margin={"t": 80},
         coloraxis={
             "colorscale": "RdBu",
@@ -188,26 +223,26 @@ def _workspace(findings: Findings) -> go.Figure | None:
     return figure
 
 
-def _ranking(document: Diagnosis) -> go.Figure:
-    """Candidates by probability. One that a check rejected is shown as that, however probable it was before."""
+def _ranking(document: Diagnosis) -> go.Figure | None:
+    """Candidates by what they do to the gap on held-out data, accepted or not: a measure of the robot, while how
+    probable one is among others says nothing where none of them is accepted."""
+    if not document.ranking:
+        return None
     accepted = {effect.name for effect in document.effects}
-    entries = [
-        (words(one.name), one.probability, "accepted" if one.name in accepted else "not accepted")
-        for one in document.ranking
-    ]
-    entries += [("none", document.probability_none, "no cause"), (BEYOND, document.probability_unknown, "no cause")]
-    figure = go.Figure()
-    looks = {"accepted": Colour.AFTER, "not accepted": Colour.FAULT, "no cause": Colour.NOISE}
-    for kind, colour in looks.items():
-        mine = [(name, share) for name, share, its in entries if its == kind]
+    figure, ranked = go.Figure(), sorted(document.ranking, key=lambda one: -one.shrink)
+    for kind, colour, named in (("accepted", Colour.AFTER, True), ("not accepted", Colour.FAULT, False)):
+        mine = [one for one in ranked if (one.name in accepted) is named]
         if mine:
             figure.add_bar(
-                y=[name for name, _ in mine], x=[100 * share for _, share in mine], orientation="h", name=kind,
-                marker_color=colour, text=[percent(share) for _, share in mine], textposition="outside",
+                y=[words(one.name) for one in mine], x=[100 * one.shrink for one in mine], orientation="h", name=kind,
+                marker_color=colour, text=[percent(one.shrink) for one in mine], textposition="outside",
+                cliponaxis=False,
             )  # fmt: skip
-    figure.update_layout(showlegend=True, **under_buttons(130 + 26 * len(entries)))
-    figure.update_xaxes(title_text="probability, %", range=[0, 130], tickvals=[0, 25, 50, 75, 100])
-    names = list(dict.fromkeys(name for name, *_ in entries))
+    low, high = min(0.0, 100 * ranked[-1].shrink), max(1.0, 100 * ranked[0].shrink)
+    room = 0.25 * (high - low)  # for the texts at the ends of bars
+    figure.update_layout(showlegend=True, **under_buttons(130 + 26 * len(ranked)))
+    figure.update_xaxes(title_text="shrink of the gap, %", range=[low - room * (low < 0), high + room])
+    names = [words(one.name) for one in ranked]
     figure.update_yaxes(automargin=True, categoryorder="array", categoryarray=names[::-1])
     return figure
 
@@ -217,34 +252,37 @@ def _response(document: Diagnosis) -> go.Figure | None:
     every = document.frequency_response
     if not every:
         return None
-    figure = make_subplots(
-        rows=3, cols=len(every), shared_xaxes=True, vertical_spacing=0.05, row_heights=[0.45, 0.3, 0.25],
-        subplot_titles=[f"joint {one.joint}" for one in every],
-    )  # fmt: skip
-    for column, one in enumerate(every, start=1):
+    blocks = -(-len(every) // COLUMNS)
+    height = 480 * blocks + 80
+    figure = _by_joint(len(every), 3, height, shared_xaxes=True, row_heights=[0.45, 0.3, 0.25] * blocks)
+    for number, one in enumerate(every):
+        (row, column), first = _cell(number, 3), number == 0
         for name, magnitude in one.magnitude.items():
             look = {"color": Colour[name.upper()], "width": 2 if name == "measured" else 1.3}
             shared = {"x": one.hz, "name": name, "legendgroup": name, "line": look}
-            figure.add_trace(go.Scatter(y=magnitude, showlegend=column == 1, **shared), row=1, col=column)
-            figure.add_trace(go.Scatter(y=one.phase_deg[name], showlegend=False, **shared), row=2, col=column)
+            figure.add_trace(go.Scatter(y=magnitude, showlegend=first, **shared), row=row, col=column)
+            figure.add_trace(go.Scatter(y=one.phase_deg[name], showlegend=False, **shared), row=row + 1, col=column)
         coherence = go.Scatter(
-            x=one.hz, y=one.coherence, name="coherence", showlegend=column == 1, line={"color": Colour.NOISE}
+            x=one.hz, y=one.coherence, name="coherence", showlegend=first, line={"color": Colour.NOISE}
         )
-        figure.add_trace(coherence, row=3, col=column)
+        figure.add_trace(coherence, row=row + 2, col=column)
+        if number + COLUMNS >= len(every):
+            figure.update_xaxes(title_text="frequency, Hz", row=row + 2, col=column)
     logarithmic(figure, "x")
-    figure.update_xaxes(title_text="frequency, Hz", row=3)
-    logarithmic(figure, "y", row=1)
-    figure.update_yaxes(row=2, range=[-180, 180], tickvals=[-180, -90, 0, 90, 180])
-    figure.update_yaxes(row=3, range=[-0.15, 1.05])  # so that 0 and the first frequency stand apart
-    for row, title in enumerate((every[0].unit, "phase, °", "coherence"), start=1):
-        figure.update_yaxes(title_text=title, row=row, col=1)
-    figure.update_layout(under_buttons(560, titles=True))
+    for row in range(1, 3 * blocks, 3):
+        logarithmic(figure, "y", row=row)
+        figure.update_yaxes(row=row + 1, range=[-180, 180], tickvals=[-180, -90, 0, 90, 180])
+        figure.update_yaxes(row=row + 2, range=[-0.15, 1.05])  # so that 0 and the first frequency stand apart
+        for below, title in enumerate((every[0].unit, "phase, °", "coherence")):
+            figure.update_yaxes(title_text=title, row=row + below, col=1)
+    figure.update_layout(under_buttons(height, titles=True))
     return figure
 
 
 def _spectrum(findings: Findings) -> go.Figure:
     n = len(findings.problem.sigma)
-    figure = make_subplots(rows=1, cols=n, shared_yaxes=True, subplot_titles=[f"joint {j + 1}" for j in range(n)])
+    height = 300 * -(-n // COLUMNS) + 70
+    figure = _by_joint(n, 1, height, shared_yaxes="all")
     for name, hypothesis in (("before", findings.plain.hypothesis), ("after", findings.best.hypothesis)):
         frequency, density = _density(findings, hypothesis)
         for joint in range(n):
@@ -252,20 +290,23 @@ def _spectrum(findings: Findings) -> go.Figure:
                 x=frequency, y=density[:, joint], name=name, legendgroup=name, showlegend=joint == 0,
                 line={"width": 1.3, "color": Colour[name.upper()]},
             )  # fmt: skip
-            figure.add_trace(trace, row=1, col=joint + 1)
+            row, column = _cell(joint)
+            figure.add_trace(trace, row=row, col=column)
     for joint in range(n):
         level = float(np.sqrt(findings.noise[joint] ** 2 * 2 * findings.problem.band.period))
         noise = go.Scatter(
             x=frequency[[0, -1]], y=[level] * 2, name="noise", legendgroup="noise", showlegend=joint == 0,
             mode="lines", line={"dash": "dot", "color": Colour.NOISE},
         )  # fmt: skip
-        figure.add_trace(noise, row=1, col=joint + 1)
+        row, column = _cell(joint)
+        figure.add_trace(noise, row=row, col=column)
+        if joint + COLUMNS >= n:
+            figure.update_xaxes(title_text="frequency, Hz", row=row, col=column)
     figure.add_vrect(x0=findings.problem.band.cutoff_hz, x1=frequency[-1], fillcolor="#59636e", opacity=0.08)
     logarithmic(figure, "x")
-    figure.update_xaxes(title_text="frequency, Hz")
     logarithmic(figure, "y")
     figure.update_yaxes(title_text=f"{in_units_of(findings.robot, 'N m')} / √Hz", col=1)
-    figure.update_layout(under_buttons(370, titles=True))
+    figure.update_layout(under_buttons(height, titles=True))
     return figure
 
 

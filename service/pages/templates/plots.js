@@ -26,8 +26,13 @@ const looked = text => {
     for (const name in layout) if (/^xaxis/.test(name)) {
       const {domain = [0, 1]} = layout[name];
       if (layout[name].type === 'category') layout[name].tickangle = -90;
+      if (layout[name].type === 'log' && domain[1] - domain[0] < 0.5) layout[name].ticktext =
+        layout[name].ticktext?.map((text, at) => Math.log10(layout[name].tickvals[at]) % 1 ? '' : text);
       layout[name].nticks = Math.max(2, Math.round(5 * (domain[1] - domain[0])));
     }
+    for (const bars of figure.data) if (bars.type === 'bar' && bars.orientation !== 'h' && bars.x?.length > 4)
+      delete bars.text;  // narrower than figures above them
+    for (const {colorbar} of [...figure.data, layout.coloraxis ?? {}]) if (colorbar) colorbar.nticks = 4;
     for (const menu of layout.updatemenus ?? []) Object.assign(menu, {x: 0, xanchor: 'left'});
     if (layout.legend?.orientation === 'h') {
       const room = 20 * new Set(figure.data.filter(one => one.showlegend !== false).map(one => one.name)).size;

@@ -14,7 +14,7 @@ import pytest
 from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
 from service.diagnosis.documents.headline import Given, headline
-from service.diagnosis.documents.over_time import _short, _thinned, worst_second
+from service.diagnosis.documents.over_time import _short, worst_second
 from service.diagnosis.documents.report import write_report
 from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs
 from service.model.effects import CATALOGUE
@@ -29,18 +29,6 @@ def test_every_effect_says_what_it_is_and_what_to_do():
         assert effect.means.endswith("."), effect.name
         assert "_" not in effect.title + effect.means, effect.name
     assert len({effect.title for effect in CATALOGUE}) == len(CATALOGUE)
-
-
-def test_a_thinned_line_keeps_peaks_and_breaks():
-    clock, errors = np.arange(90.0), np.zeros(90)
-    errors[[7, 33, 61]] = -5.0, 4.0, 3.0
-    shown, values, gap = _thinned(clock, errors, np.array([30, 62]), 4)
-    assert {7.0, 33.0, 61.0} <= set(shown)
-    assert np.abs(values).sum() == 12.0
-    assert [np.count_nonzero((shown >= a) & (shown < b)) for a, b in ((0, 30), (30, 62), (62, 90))] == [8, 8, 7]
-    assert (np.diff(shown) > 0).all()
-    np.testing.assert_array_equal(gap, [8, 16])
-    assert all(len(part) == 0 for part in _thinned(clock[:0], errors[:0], np.zeros(0, int), 4))
 
 
 def test_the_box_says_what_where_how_much_and_what_to_do(findings):
