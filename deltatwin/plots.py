@@ -93,10 +93,10 @@ def of_payload(result: PayloadResult) -> go.Figure:
     figure = go.Figure()
     figure.add_scatter(x=found.time, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip")
     figure.add_scatter(
-        x=found.time, y=low, line={"width": 0}, fill="tonexty", fillcolor=faint(Colour.AFTER),
+        x=found.time, y=low, line={"width": 0}, fill="tonexty", fillcolor=faint(Colour.PAYLOAD),
         name="± 2 standard deviations", hoverinfo="skip",
     )  # fmt: skip
-    figure.add_scatter(x=found.time, y=found.mass, name="mass", line={"width": 1.5, "color": Colour.AFTER})
+    figure.add_scatter(x=found.time, y=found.mass, name="mass", line={"width": 1.5, "color": Colour.PAYLOAD})
     for event, colour in EVENTS.items():
         rows = np.flatnonzero(found.event == event)
         figure.add_scatter(

@@ -11,8 +11,6 @@ from service.monitor.readback import Recorded
 from service.pages import under_buttons
 from service.pages.palette import Colour, faint
 
-POINTS = 5000  # a line; more than a screen has, few enough to draw without WebGL, which remote desktops lack
-
 
 def errors_by_model(error: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Mean and standard deviation, (3,) N m each, of every model in (N,) MODEL_ERROR records; NaN rows are left out."""
@@ -26,8 +24,6 @@ def picture(recorded: dict[str, Recorded]) -> go.Figure:
     """Three joints and the payload over bus time, s."""
     samples, error, payload = (recorded[topic].records for topic in ("sample", "error", "payload"))
     _, mine, its = np.intersect1d(samples["sequence"], error["sequence"], return_indices=True)
-    thin = slice(None, None, max(1, len(mine) // POINTS))
-    mine, its, payload = mine[thin], its[thin], payload[thin]
     measured, error = samples["torque"][mine], error[its]
     begin = stamp_ns(samples)[0]
     time, payload_time = ((stamp_ns(records) - begin) * 1e-9 for records in (error, payload))
@@ -50,10 +46,10 @@ def picture(recorded: dict[str, Recorded]) -> go.Figure:
     for bound, fill in ((-2, None), (2, "tonexty")):
         figure.add_scatter(
             x=payload_time, y=payload["mass"] + bound * payload["std_dev"], line={"width": 0}, fill=fill,
-            fillcolor=faint(Colour.AFTER), name="± 2 standard deviations", showlegend=fill is not None,
+            fillcolor=faint(Colour.PAYLOAD), name="± 2 standard deviations", showlegend=fill is not None,
             hoverinfo="skip", row=4, col=1,
         )  # fmt: skip
-    figure.add_scatter(x=payload_time, y=payload["mass"], name="payload", line={"color": Colour.AFTER}, row=4, col=1)
+    figure.add_scatter(x=payload_time, y=payload["mass"], name="payload", line={"color": Colour.PAYLOAD}, row=4, col=1)
     figure.update_yaxes(
         title_text="kg", range=[-0.5, max(0.5, 1.2 * float(payload["mass"].max(initial=0.0)))], row=4, col=1
     )

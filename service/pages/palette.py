@@ -21,6 +21,7 @@ class Colour(StrEnum):
     NOISE = "#868e97"  # what noise alone would make
     REVERSAL = "#c9509c"  # friction that turns over between two samples
     REFITTED = "#7a7f00"  # what refitting the base model changes
+    PAYLOAD = "#a65e2e"  # the mass that the robot carries
     PICK = "#1a8f4c"
     RELEASE = "#b83280"
     EFFECT_1 = "#0f857a"
