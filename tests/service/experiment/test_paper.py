@@ -21,6 +21,7 @@ from service.identification.evaluation import WITH_PAYLOAD
 from service.model import kinematics
 from service.model.nominal import pack
 from tests.service.pages.browser import looked_at, plots_of
+from tests.service.pages.colours import meanings
 
 
 @pytest.fixture(scope="module")
@@ -140,6 +141,7 @@ def test_report_holds_tables_and_figures_in_the_papers_order(found: PaperResult,
     assert "Every measurement here is simulated" in text
     assert "chosen to resemble the published values" in text
     assert text.count('class="plot-data"') >= 10
+    assert all(len(colours) == 1 for colours in meanings(text).values())
     shaded = sum(str(plot).count("'fillcolor': '#999999'") for plot in plots_of(text))
     assert shaded == len(found.scores) * (3 + 2 + 2), "figures 7 and 8 and ours are shaded"
     outside = re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)

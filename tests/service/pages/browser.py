@@ -17,7 +17,8 @@ from schemas.errors import StorageError
 from service.pages import headless
 
 # With all unfolded: every pair of texts of a plot, or of a text and the buttons above it, of a legend and a bar, or of
-# two parts of the page, whose boxes cover each other by more than a pixel each way, and every console error.
+# two parts of the page, whose boxes cover each other by more than a pixel each way, every text that its plot's edge
+# cuts off, and every console error.
 LOOK = """
 <script>
 const errors=[];addEventListener('error',e=>errors.push(String(e.message)));
@@ -40,6 +41,10 @@ addEventListener('load',()=>drawn.then(()=>{unfold();setTimeout(()=>{
   document.querySelectorAll('.bars path,.modebar-group').forEach(t=>{const p=t.getBoundingClientRect();
     if(p.width&&legends.some(q=>q.width&&Math.min(p.right,q.right)-Math.max(p.left,q.left)>1
       &&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1))over.push(['legend',t.getAttribute('class')||'bar']);});
+  document.querySelectorAll('.plot').forEach(plot=>{const p=plot.getBoundingClientRect();
+    plot.querySelectorAll('svg text').forEach(t=>{const q=t.getBoundingClientRect();
+      if(q.width&&t.textContent.trim()&&(q.left<p.left-1||q.right>p.right+1||q.top<p.top-1||q.bottom>p.bottom+1))
+        over.push(['edge of the plot',t.textContent]);});});
   const ticks=[...document.querySelectorAll('.ytick text')].map(t=>t.textContent);
   const root=document.documentElement, beyond=root.scrollWidth-root.clientWidth;
   if(beyond)document.querySelectorAll('body *').forEach(t=>{
@@ -61,8 +66,8 @@ told.id='told';told.textContent=data;document.body.append(told);}});</script>"""
 
 
 def looked_at(path: Path, width: int = 1200, dark: bool = False) -> dict[str, Any]:
-    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots, `ticks` of upright axes,
-    px by which the page is wider than its window (`beyond`), at a width of the window in px.
+    """`errors` of the console, pairs of texts `over` each other or an edge, number of `texts` in plots, `ticks` of
+    upright axes, px by which the page is wider than its window (`beyond`), at a width of the window in px.
 
     Leaves a picture of it beside the page, `picture_of`. Skips without a browser.
     """

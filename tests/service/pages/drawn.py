@@ -68,19 +68,19 @@ def gap_of(rng: np.random.Generator, named: bool, joints: int, unit: str) -> tup
     shrink = 1.0 - rms[1] / rms[0]
     left = float(np.sqrt(np.mean((after / noise) ** 2)))
     words = ("explained", "partly_explained") if named else ("within_noise", "unexplained")
-    above = rms[0] ** 2 - rms[2] ** 2
+    above, wide = rms[0] ** 2 - rms[2] ** 2, float(rng.choice([1e-5, 0.05]))
     gap = {
         "unit": unit, "before_nm": before.tolist(), "after_nm": after.tolist(), "noise_floor_nm": noise.tolist(),
         "reversal_nm": [0.0] * joints, "torque_nm": (before * 10.0 ** rng.uniform(-0.2, 4)).tolist(), "shrink": shrink,
-        "shrink_ci95": [shrink - 0.05, shrink + 0.02], "band_hz": 40.0,
+        "shrink_ci95": [shrink - wide, shrink + wide / 2], "band_hz": 40.0,
         "shrink_of_explainable": (rms[0] ** 2 - rms[1] ** 2) / above if above > 0 else None,
     }  # fmt: skip
     return gap, words[left > WITHIN_NOISE]
 
 
-def diagnosis(rng: np.random.Generator) -> Diagnosis:
-    """One robot's."""
-    joints, unit = int(rng.choice([1, 2, 3, 6])), str(rng.choice(["N m", "N"]))
+def diagnosis(rng: np.random.Generator, joints: int = 0) -> Diagnosis:
+    """One robot's, of so many joints, or of any number."""
+    joints, unit = joints or int(rng.choice([1, 2, 3, 6])), str(rng.choice(["N m", "N"]))
     named = effects(rng, joints, 3)
     gap, verdict = gap_of(rng, bool(named), joints, unit)
     others = [CATALOGUE[k].name for k in rng.permutation(len(CATALOGUE))[:4]]
@@ -90,7 +90,8 @@ def diagnosis(rng: np.random.Generator) -> Diagnosis:
         for name in others
         if name not in {one["name"] for one in named}
     ]
-    ranking = [one | {"after_nm": 1.0, "shrink": share(rng)} for one in ranking]
+    worse = [0.0 if number < len(named) else float(rng.choice([0.0, 0.3])) for number in range(len(ranking))]
+    ranking = [one | {"after_nm": 1.0, "shrink": share(rng) - less} for one, less in zip(ranking, worse, strict=True)]
     regime = {"regime": "slow motion", "share": share(rng), "of_time": share(rng)}
     where = []
     for joint in range(joints):
@@ -108,11 +109,12 @@ def diagnosis(rng: np.random.Generator) -> Diagnosis:
          "held_s": 0.002}
         for code in rng.choice(get_args(CautionCode), int(rng.integers(0, 3)), replace=False)
     ]  # fmt: skip
+    unknown = (1.0 + share(rng) * (1 if verdict in ("unexplained", "partly_explained") else -1)) / 2
     return Diagnosis.model_validate(
         {
             "schema": "deltatwin.diagnosis/2", "made": MADE, "robot": "d3", "traces": ["pick", "slow", "sweep"],
             "verdict": verdict, "effects": named, "cannot_tell": cautions, "ranking": ranking,
-            "probability_none": share(rng), "probability_unknown": share(rng), "plain": {}, "given": [], "gap": gap,
+            "probability_none": share(rng), "probability_unknown": unknown, "plain": {}, "given": [], "gap": gap,
             "base": {"rho_1": {"value": 1.1, "unit": "", "ci95": [1.0, 1.2]}},
             "where": {"joints": where, "left_out_at_rest_and_ends": share(rng), "bursts": [], "bursts_rhythm_s": None,
                       "worst_runs": [{"run": "pick", "after_over_noise": 2.0}]},
@@ -218,9 +220,9 @@ def blind_test(rng: np.random.Generator, path: Path) -> dict[str, Any]:
     return figures
 
 
-def closed_loop(rng: np.random.Generator, path: Path) -> list[Tracking]:
+def closed_loop(rng: np.random.Generator, path: Path, period: float = 1e-2, end: float = 3.0) -> list[Tracking]:
     """Runs with feedback alone, and with better and worse feed-forward."""
-    time = np.arange(0.5, 3.0, 1e-2)
+    time = np.arange(0.5, end, period)
     models = rng.random() < 0.5
     names = ["M_KH, m_p = 0", "M_Id, m_p = 0", "M_Id+F, m_p = 0", "full, m_p = 0", "full, payload-aware"]
     runs = []
