@@ -170,7 +170,8 @@ def terminal(command: Sequence[str | Path], lines: Sequence[str]) -> tuple[int, 
     """`command` in a terminal in which somebody types `lines`, then Ctrl-C: exit code, and what is on the screen."""
     pty = pytest.importorskip("pty")
     master, slave = pty.openpty()
-    with subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True) as process:
+    process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True)
+    try:
         os.close(slave)
         said, typed = "", iter(lines)
         while process.poll() is None:
@@ -187,6 +188,8 @@ def terminal(command: Sequence[str | Path], lines: Sequence[str]) -> tuple[int, 
                 else:
                     process.send_signal(signal.SIGINT)
         code = process.wait(60)
+    finally:  # `with` would wait for it after the time limit of the test, too
+        process.kill()
     os.close(master)
     return code, said.replace("\r", "")
 
