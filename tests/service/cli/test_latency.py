@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
 
 import pytest
 
@@ -40,9 +41,13 @@ def test_ctrl_c_ends_all_processes_without_a_traceback(tmp_path: os.PathLike[str
         file.write(CODE)
     command = [sys.executable, script, moment]
     environment = os.environ | {"PYTHONPATH": os.getcwd()}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment
-    ) as process:
+    with (
+        subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment
+        ) as process,
+        ExitStack() as last,
+    ):
+        last.callback(process.kill)  # which is waited for without an end, also where this fails
         assert process.stdout is not None
         assert process.stdout.readline() == "now\n"
         os.killpg(process.pid, signal.SIGINT)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -92,7 +93,9 @@ def test_who_sends_does_not_wait_for_a_watch_whose_turn_it_is_not(
     """Zenoh's threads take what comes off the socket; full, it holds up whoever publishes for 20 ms at a time."""
     save_robot(KNOWN, tmp_path / "known.toml")
     command = [Path(sys.executable).with_name("deltatwin"), "watch", "--robot", tmp_path / "known.toml"]
-    with subprocess.Popen([*command, "--out", tmp_path / "out"], stderr=subprocess.PIPE, text=True) as watch:
+    command += ["--out", tmp_path / "out"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as watch, ExitStack() as last:
+        last.callback(watch.kill)  # which is waited for without an end, also where this fails
         assert watch.stderr is not None
         assert any(line.startswith("watching known") for line in iter(watch.stderr.readline, "")), "it ended"
         until(lambda: any("(acc-" in text for text in _threads(watch.pid)))  # each gives itself its name
