@@ -46,11 +46,12 @@ def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:
     too_deep = f"{path}: tables or lists nested more than {MAX_DEPTH} deep"
     try:
         text = raw.decode("utf-8-sig")  # editors of Windows begin a file with a mark
-        if _LONG_KEY.search(_QUOTED.sub("s", text)):  # tomllib takes time by the square of its length
-            raise error(too_deep)
-        values = tomllib.loads(text)
     except UnicodeDecodeError as cause:
         raise error(f"{path}: not a text file (byte {cause.start} is not UTF-8)") from cause
+    if _LONG_KEY.search(_QUOTED.sub("s", text)):  # tomllib takes time by the square of its length
+        raise error(too_deep)
+    try:
+        values = tomllib.loads(text)
     except ValueError as cause:  # TOMLDecodeError, and integers of more digits than Python reads
         raise error(f"{path}: {_twice(str(cause), text) or f'not TOML: {cause}'}") from cause
     except RecursionError:
