@@ -123,6 +123,9 @@ class Axes(Machine):
     def linear(self) -> bool:
         return all(axis.unit == "m" for axis in self.axis)
 
+    def joint_linear(self, joint: int) -> bool:
+        return self.axis[joint].unit == "m"
+
     @property
     def angular(self) -> bool:
         return all(axis.unit == "rad" for axis in self.axis)

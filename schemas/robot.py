@@ -460,6 +460,10 @@ class Described(TomlTable):
         """Metres and newtons, on all joints."""
         return False
 
+    def joint_linear(self, joint: int) -> bool:
+        """Metres and newtons, on one joint, from 0."""
+        return self.linear
+
     @property
     def angular(self) -> bool:
         """Radians and newton metres, on all joints."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from service.cli.output import console
+from service.cli.terminal import wrapped
 
 if TYPE_CHECKING:
     from schemas.axes_description import Description
@@ -53,5 +54,7 @@ def reading(paths: Sequence[Path], robot: Description | None, columns: str | Non
     for path in shown:
         trace = read_trace(path, robot, mapping)
         for finding in trace.findings:
-            screen.print(f"{path}: {finding.message}", highlight=False, markup=False, soft_wrap=True)
+            said = f"{path}: {finding.message}"
+            said = wrapped(said, screen.width) if screen.is_terminal else said  # above the bar
+            screen.print(said, highlight=False, markup=False, soft_wrap=True)
         yield trace

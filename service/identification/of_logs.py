@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from schemas.axes_description import Axes, Description
 from schemas.chain_description import Chain
@@ -43,27 +44,20 @@ class Asked:
 
     def __init__(self, description: Description) -> None:
         self._description = description
-        self._equations: list[NormalEquations] = []
-        self._logs: list[Trace] = []
+        self._taken, self._refuse = _ASKED[type(description)]
+        self._logs: list[Any] = []
 
     def add(self, log: Trace) -> None:
         """
         Raises:
             DataError, TraceError: `log` alone is of no use.
         """
-        if isinstance(self._description, Robot):
-            self._equations.append(summarise(pack(self._description), log))
-        else:
-            self._logs.append(log)
+        self._logs.append(self._taken(self._description, log))
 
     def refusal(self) -> str | None:
         """Why `identify_logs` refuses the logs before it fits anything; None where it does not."""
         try:
-            if isinstance(self._description, Robot):
-                refuse(self._description, self._equations)
-            else:
-                refuse_copies(self._logs)
-                recorded(self._description, self._logs)
+            self._refuse(self._description, self._logs)
         except (DataError, TraceError) as error:
             return str(error)
         return None
@@ -110,6 +104,22 @@ def _of_delta(
     return Identification(found.carried(result.robot), result.fit, warnings), found.figures
 
 
+def _equations(description: Robot, log: Trace) -> NormalEquations:
+    return summarise(pack(description), log)
+
+
+def _refuse_of_joints(description: Axes | Chain, logs: Sequence[Trace]) -> None:
+    refuse_copies(logs)
+    recorded(description, logs)
+
+
+_OF_JOINTS = (lambda description, log: log), _refuse_of_joints
+# What is kept of each log, and what refuses all of them.
+_ASKED: dict[type, tuple[Callable[..., Any], Callable[..., object]]] = {
+    Robot: (_equations, refuse),
+    Axes: _OF_JOINTS,
+    Chain: _OF_JOINTS,
+}
 _WAYS: dict[type, Callable[..., tuple[Identification, Sequence[CalibratedFigure]]]] = {  # a line a kind
     Robot: _of_delta,
     Axes: _of_joints,

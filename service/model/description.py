@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from schemas.axes_description import Axes, AxesIdentified, Description
+from schemas.axes_description import AxesIdentified, Description
 from schemas.chain_description import ChainIdentified
 from schemas.errors import RobotError
 from schemas.fitted import Figures, Fitted, JointParameter
@@ -42,8 +42,7 @@ def in_units_of(robot: Description, unit: str) -> str:
 
 def gain_unit(robot: Description, joint: int) -> str:
     """Unit of torque over position of one joint, from 0, in words."""
-    linear = robot.axis[joint].unit == "m" if isinstance(robot, Axes) else robot.linear
-    return "N per m" if linear else "N m per rad"
+    return "N per m" if robot.joint_linear(joint) else "N m per rad"
 
 
 def digits(value: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -95,7 +96,8 @@ def test_a_terminal_of_80_columns_is_clean(
     """But for commands to be copied, and words that are longer, such as paths."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("COLUMNS", raising=False)
-    _, said = terminal([PROGRAM, *command], [])
+    deep = shutil.copy(LOG, tmp_path)  # a path as long as some are
+    _, said = terminal([PROGRAM, *(deep if word == LOG else word for word in command)], [])
     last = [line.split("\x1b[2K")[-1] for line in said.split("\n")]  # of what was drawn in a line
     drawn = [re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", line) for line in last]
     long = [line for line in drawn if len(line) > 80 and not line.startswith("next: ") and " " in line.strip()]

@@ -233,7 +233,7 @@ def test_two_blocks_a_parameter_and_axis_are_enough(monkeypatch, seconds, enough
     monkeypatch.setattr(joint_machines, "segments_of", lambda traces: [[part] for _ in traces])
     monkeypatch.setattr(joint_machines, "thin", lambda segment: segment)
     monkeypatch.setattr(joint_machines, "written", lambda *parts: parts[1])
-    monkeypatch.setattr(joint_machines, "_commanded", lambda fit, traces: [])
+    monkeypatch.setattr(joint_machines, "_commanded", lambda axes, fit, traces: [])
     monkeypatch.setattr(joint_machines, "_warnings", lambda fit, traces: [])
     made = Axes.model_validate({"name": "two", "kind": "axes", "axis": [{"gravity": False}] * 2})
     logs: list[Any] = [stub(name="a", path=Path("a.csv")), stub(name="b", path=Path("b.csv"))]

@@ -73,7 +73,7 @@ def test_every_machine_has_limits_of_its_joints(described: Description) -> None:
 
 def test_no_table_of_kinds_lacks_one() -> None:
     kinds = set(get_args(Description))
-    for table in (MECHANISMS, MACHINES, of_logs._WAYS, readings._WAYS):
+    for table in (MECHANISMS, MACHINES, of_logs._WAYS, of_logs._ASKED, readings._WAYS):
         assert set(table) == kinds
     assert {load_robot("d3-1200").topics, Axes(name="a", kind="axes", axis=[Axis()]).topics} == set(online._WAYS)
 
