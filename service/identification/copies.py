@@ -6,7 +6,6 @@ Asked of files that a user gives. A stretch of the bus may repeat: a log is play
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from itertools import combinations
 
 import numpy as np
@@ -24,22 +23,28 @@ def refuse_copies(traces: Sequence[Trace]) -> None:
     Raises:
         DataError: half of a log or more is in another one, naming both.
     """
-    rows = [np.concatenate([trace.position, trace.torque], axis=1) for trace in traces]
-    for one, other in combinations(range(len(traces)), 2):
-        short, long = sorted((one, other), key=lambda at: len(rows[at]))
-        if _found_again(rows[short], rows[long]) > MOST:
-            first, second = traces[one], traces[other]
+    for (first, rows), (second, others) in combinations(zip(traces, map(_rows, traces), strict=True), 2):
+        if _are_copies(rows, others):
             raise DataError(f"{second.path}: the same motion and torque as {first.path}; give it only once")
 
 
 def distinct(traces: Sequence[Trace]) -> list[Trace]:
     """Without those that `refuse_copies` refuses beside an earlier one."""
-    kept: list[Trace] = []
+    kept: list[tuple[Trace, np.ndarray]] = []
     for trace in traces:
-        with suppress(DataError):
-            refuse_copies([*kept, trace])
-            kept.append(trace)
-    return kept
+        rows = _rows(trace)
+        if not any(_are_copies(before, rows) for _, before in kept):
+            kept.append((trace, rows))
+    return [trace for trace, _ in kept]
+
+
+def _rows(trace: Trace) -> np.ndarray:
+    return np.concatenate([trace.position, trace.torque], axis=1)
+
+
+def _are_copies(one: np.ndarray, other: np.ndarray) -> bool:
+    short, long = sorted((one, other), key=len)
+    return _found_again(short, long) > MOST
 
 
 def _found_again(part: np.ndarray, whole: np.ndarray) -> float:
