@@ -13,9 +13,7 @@ from service.cli.progress import bars
 
 
 def command(
-    out: Annotated[Path, typer.Option(help="Folder for page, pictures, logs and identified.toml.")] = Path(
-        "experiment"
-    ),
+    out: Annotated[Path, typer.Option(help="Folder for page, pictures, logs and descriptions.")] = Path("experiment"),
     trajectories: Annotated[int, typer.Option(min=4, help="Number of identification trajectories.")] = 12,
     duration: Annotated[float, typer.Option(min=3.0, help="Length of each trajectory (s).")] = 10.0,
     payload: Annotated[float, typer.Option(min=0.1, help="Mass to pick and place (kg).")] = 3.8,
@@ -31,7 +29,8 @@ def command(
 
     Twelve identification trajectories, a stress motion near the bounds of the workspace (υ_F) and a pick-and-place run
     with 3.8 kg (υ_P). The result is tables 1 and 2 and figures 2 to 9 next to the paper's values, with a separate
-    section beyond the paper, as one interactive page, as PNG and as PDF. Every measurement in it is simulated.
+    section beyond the paper (diagnosis of the same logs, and the payload with the corrected description), as one
+    interactive page, as PNG and as PDF. Every measurement in it is simulated.
 
     Example: deltatwin experiment --out experiment
     """
@@ -68,11 +67,13 @@ def command(
         progress.update(task, completed=(trajectories + 1.5) * duration)
         (picks,) = record(plant, iter([pick_motion]), "upsilon_P")
         progress.update(task, completed=(trajectories + 3) * duration)
-    found = run(robot, fit, stress, picks, pick_motion.payloads, forgetting)
+    with console(stderr=True).status("identifying") as status:
+        found = run(robot, fit, stress, picks, pick_motion.payloads, forgetting, status.update)
     report = page(found, which)
     write_page(report, out / "experiment.html")
     write_pictures(report.drawings, out, "experiment")
-    save_robot(found.by_pooled.robot, out / "identified.toml", template=Path("d3-1200"))
+    for identified, name in ((found.by_pooled.robot, "identified.toml"), (found.corrected, "corrected.toml")):
+        save_robot(identified, out / name, template=Path("d3-1200"))
     if logs:
         for trace in (*fit, stress, picks):
             write_trace(trace, out / f"{trace.name}.csv", robot.name)
@@ -82,9 +83,11 @@ def command(
             model: dict(zip(("mean_nm", "std_nm"), found.stress.moments(torque), strict=True))
             for model, torque in found.stress.torque.items()
         }
-        picks = [asdict(score) for score in found.scores]
-        typer.echo(as_json("experiment", {"upsilon_F": errors, "upsilon_P": picks}))
+        identified, corrected = ([asdict(score) for score in one.scores] for one in found.weighed.values())
+        scores = {"upsilon_P": identified, "upsilon_P_corrected": corrected}
+        typer.echo(as_json("experiment", {"upsilon_F": errors, **scores}))
         return
     console().print(table(shown.head, shown.rows, shown.title, shown.note))
-    typer.echo(f"everything here is simulated; wrote {out / 'experiment.html'}, .pdf, PNG pictures and identified.toml")
+    written = "experiment.html, experiment.pdf, PNG pictures, identified.toml, corrected.toml"
+    typer.echo(f"everything here is simulated; wrote {written} in {out}")
     say_headline(report.headline)

@@ -7,7 +7,7 @@ measured, the error without a filter. What we do differently stands in a section
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,6 +17,8 @@ from drivers.motion import Payload
 from schemas.robot import Robot
 from schemas.trace import Trace
 from schemas.words import counted, fixed, percent, significant
+from service.diagnosis.documents.document import corrected
+from service.diagnosis.pipeline import diagnose
 from service.estimator.recursion import FORGETTING
 from service.experiment.diagrams import IDENTIFICATION, WEIGHING
 from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section, by_joint
@@ -27,6 +29,7 @@ from service.identification.pooled import Identification
 from service.identification.regression import COULOMB, RHO_1, RHO_2, VISCOUS, NormalEquations, summarise
 from service.identification.weighed_picks import PayloadHistory, Pick, Score, payload_history, recursion
 from service.model.dynamics import PAYLOAD, torque_terms
+from service.model.effects import catalogue
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
 from service.pages import Headline
@@ -41,7 +44,20 @@ PUBLISHED = {
 FRICTION = "M_Id+F"  # the paper's fullest model
 GRID = 80  # points a side of the pictured error surface
 COLOURS = {"M_KH": Colour.TEXTBOOK, "M_Id": Colour.WITHOUT_FRICTION, "M_Id+F": Colour.BEFORE}
-ESTIMATOR = "our estimator"
+OURS, CORRECTED = "our model", "the corrected model"
+BY_RECURSION, BY_ESTIMATOR = "the paper's recursion on", "our estimator on"  # one of the models
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """The payload over upsilon_P by our estimator with one description.
+
+    history: as known after each sample. scores: each pick beside the truth. evaluated: the model's error in the band.
+    """
+
+    history: PayloadHistory
+    scores: list[Score]
+    evaluated: Evaluation
 
 
 @dataclass(frozen=True)
@@ -62,9 +78,10 @@ class PaperRun:
 class PaperResult:
     """What the experiment gave.
 
-    robot: as described; literal: identified as the paper does; by_paper: the same, filtered; by_pooled: our fit.
-    stress, picks: runs over upsilon_F and upsilon_P. evaluated: upsilon_P in the band, by our fit. masses: (N,) kg over
-    upsilon_P by whom; the first is the paper's as it stands. carried: (N, 3) N m of a kilogram over upsilon_P.
+    robot: as described; literal: identified as the paper does; by_paper: the same, filtered; by_pooled: our fit;
+    corrected: what `diagnose` makes of the same logs. stress, picks: runs over upsilon_F and upsilon_P. weighed:
+    upsilon_P by our estimator, with our fit and corrected. masses: (N,) kg over upsilon_P by whom; the first is the
+    paper's as it stands. carried: (N, 3) N m of a kilogram over upsilon_P.
     """
 
     robot: Robot
@@ -72,14 +89,18 @@ class PaperResult:
     literal: Robot
     by_paper: Identification[Robot]
     by_pooled: Identification[Robot]
+    corrected: Robot
     stress: PaperRun
     picks: PaperRun
-    evaluated: Evaluation
-    weighed: PayloadHistory
-    scores: list[Score]
+    weighed: dict[str, Weighing]
     masses: dict[str, np.ndarray]
     carried: np.ndarray
     forgetting: float
+
+    @property
+    def truth(self) -> list[Pick]:
+        """What was on the platform over upsilon_P."""
+        return [score.truth for score in self.weighed[OURS].scores]
 
 
 def run(
@@ -89,10 +110,13 @@ def run(
     picks: Trace,
     carried: Sequence[Payload],
     forgetting: float = FORGETTING,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> PaperResult:
-    """Identify on `logs` literally, filtered and by our fit; evaluate on `stress` (upsilon_F) and `picks` (upsilon_P).
+    """Identify on `logs` literally, filtered and by our fit, and diagnose them; evaluate on `stress` (upsilon_F) and
+    `picks` (upsilon_P), of which neither fit nor diagnosis knows anything.
 
     carried: what was on the platform in `picks`, s since its start. forgetting: the paper's factor, a millisecond.
+    progress: told what is being done.
 
     Raises:
         DataError, TraceError: the logs cannot be used, naming them.
@@ -100,37 +124,48 @@ def run(
     equations = [summarise(pack(robot), log) for log in logs]
     by_paper, by_pooled = identify(robot, equations, "paper"), identify(robot, equations, "pooled")
     literal = _with_values(by_paper.robot, paper_method.literal(pack(robot), logs)[0])
-    weighed = payload_history(by_pooled.robot, picks)
+    found = corrected(diagnose(robot, logs, catalogue(), progress))
+    assert isinstance(found, Robot)
+    progress("weighing what was picked")
     start = float(picks.time[0])
     truth = [Pick(start + load.pick, start + load.release, load.mass) for load in carried]
+    weighed = {OURS: _weighing(by_pooled.robot, picks, truth), CORRECTED: _weighing(found, picks, truth)}
     weighing = _run(literal, picks)
     along = weighing.along
-    ours = predict_along(by_pooled.robot, picks, along)[FULL]
-
-    def paper_recursion(torque: np.ndarray, rest_votes: bool) -> np.ndarray:
-        return recursion(robot, picks, along, torque, forgetting, rest_votes)
-
+    torque = {
+        "the paper's model": weighing.torque[FRICTION],
+        OURS: predict_along(by_pooled.robot, picks, along)[FULL],
+        CORRECTED: predict_along(found, picks, along)[FULL],
+    }
+    masses = {}
+    for model, empty in torque.items():
+        masses[f"{BY_RECURSION} {model}"] = recursion(robot, picks, along, empty, forgetting)
+        masses[_in_motion(model)] = recursion(robot, picks, along, empty, forgetting, rest_votes=False)
+        if model in weighed:
+            masses[f"{BY_ESTIMATOR} {model}"] = weighed[model].history.mass
     return PaperResult(
         robot=robot,
         equations=equations,
         literal=literal,
         by_paper=by_paper,
         by_pooled=by_pooled,
+        corrected=found,
         stress=_run(literal, stress),
         picks=weighing,
-        evaluated=evaluate(by_pooled.robot, picks),
         weighed=weighed,
-        scores=[weighed_picks.score(weighed, pick) for pick in truth],
-        masses={
-            "paper's recursion on the paper's model": paper_recursion(weighing.torque[FRICTION], True),
-            "the same, samples at rest left out": paper_recursion(weighing.torque[FRICTION], False),
-            "paper's recursion on our model": paper_recursion(ours, True),
-            "the same model, samples at rest left out": paper_recursion(ours, False),
-            ESTIMATOR: weighed.mass,
-        },
+        masses=masses,
         carried=torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD],
         forgetting=forgetting,
     )
+
+
+def _in_motion(model: str) -> str:
+    return f"{BY_RECURSION} {model}, samples at rest left out"
+
+
+def _weighing(robot: Robot, picks: Trace, truth: Sequence[Pick]) -> Weighing:
+    history = payload_history(robot, picks)
+    return Weighing(history, [weighed_picks.score(history, pick) for pick in truth], evaluate(robot, picks))
 
 
 def _run(robot: Robot, trace: Trace) -> PaperRun:
@@ -182,19 +217,27 @@ def page(found: PaperResult, which: str) -> Page:
             Section(
                 "Beyond the paper",
                 "Our additions: the same method with both sides through the same low-pass and without joints at rest; "
-                "one pooled fit with friction and the forearm's exact inertia; another payload estimator. The paper's "
-                "recursion is run on its own model and on ours, with and without samples at rest: this separates the "
-                "contribution of the model from that of the algorithm.",
+                "one pooled fit with friction and the forearm's exact inertia; the diagnosis, which looks in the same "
+                "logs for effects that the model lacks; another payload estimator. The paper's recursion is run on its "
+                "own model, on ours and on the corrected one, with and without samples at rest: this separates the "
+                f"contribution of the model from that of the algorithm. {_what_was_named(found)} Robot and diagnosis "
+                "share the equations of these effects, so a real robot is explained less well.",
             ),
             _methods(found),
             _weighed(found),
-            _each_pick(found),
+            *(_each_pick(found, model) for model in found.weighed),
             _mass(found),
             _surface(found),
             _per_trajectory(found),
             _error(found),
         ),
     )
+
+
+def _what_was_named(found: PaperResult) -> str:
+    """The effects that the diagnosis added, as a sentence."""
+    named = ", ".join(entry.name.replace("_", " ") for entry in found.corrected.effect)
+    return f"The diagnosis named: {named}." if named else "The diagnosis named no effect."
 
 
 def headline(found: PaperResult) -> Headline:
@@ -242,7 +285,7 @@ def _table_2(found: PaperResult) -> PageTable:
         for joint in range(3)
     )
     note = (
-        f"{counted(len(found.scores), 'pick')} of {found.scores[0].truth.mass:g} kg between two conveyors. Every "
+        f"{counted(len(found.truth), 'pick')} of {found.truth[0].mass:g} kg between two conveyors. Every "
         f"sample, unfiltered; m̂_p by the paper's recursion, forgetting factor {found.forgetting:g} per millisecond, as "
         "known at each sample. The published values are not known to us."
     )
@@ -339,14 +382,12 @@ def _methods(found: PaperResult) -> PageTable:
 
 
 def _weighed(found: PaperResult) -> PageTable:
-    time, rows = found.weighed.time, []
-    loaded = np.zeros(len(time), bool)
-    for score in found.scores:
-        loaded |= (time >= score.truth.begin) & (time < score.truth.end)
+    history, rows = found.weighed[OURS].history, []
+    held_by = [history.held(pick) for pick in found.truth]
+    loaded = np.any(held_by, axis=0)
     for name, mass in found.masses.items():
-        last = [np.flatnonzero((time >= score.truth.begin) & (time < score.truth.end))[-1] for score in found.scores]
-        off = [abs(mass[row] - score.truth.mass) for row, score in zip(last, found.scores, strict=True)]
-        taken = [weighed_picks.settled(time, mass, score.truth) for score in found.scores]
+        off = [abs(mass[held][-1] - pick.mass) for held, pick in zip(held_by, found.truth, strict=True)]
+        taken = [weighed_picks.settled(history.time, mass, pick) for pick in found.truth]
         held = np.isfinite(taken).sum()
         rows.append(
             (
@@ -367,15 +408,16 @@ def _weighed(found: PaperResult) -> PageTable:
         "rms when empty / kg",
     )
     note = (
-        f"υ_P, {found.scores[0].truth.mass:g} kg. Settled: within the larger of 5 % and 50 g until the release. "
+        f"υ_P, {found.truth[0].mass:g} kg. Settled: within the larger of 5 % and 50 g until the release. "
         f"Forgetting factor {found.forgetting:g} per millisecond. The paper's model: {FRICTION}, identified literally; "
-        "ours: the full model, pooled. “At rest”: any joint below 0.01 rad/s, determined afterwards; our estimator has "
-        "to decide it live."
+        "ours: the full model, pooled; corrected: with what `diagnose` named. “At rest”: any joint below 0.01 rad/s, "
+        "determined afterwards; our estimator has to decide it live."
     )
     return PageTable("Payload: contributions of model and algorithm", head, tuple(rows), note)
 
 
-def _each_pick(found: PaperResult) -> PageTable:
+def _each_pick(found: PaperResult, model: str) -> PageTable:
+    weighing = found.weighed[model]
     rows = tuple(
         (
             f"{score.truth.begin - found.picks.trace.time[0]:.2f} s",
@@ -385,44 +427,37 @@ def _each_pick(found: PaperResult) -> PageTable:
             _time(score.settled),
             _time(score.released),
         )
-        for score in found.scores
+        for score in weighing.scores
     )
-    without, aware = found.evaluated.errors[FULL], found.evaluated.errors.get(WITH_PAYLOAD)
-    note = f"rms error of the full model over υ_P, in motion below 40 Hz, with m_p = 0: {_three(without.rms)} N m"
+    without, aware = weighing.evaluated.errors[FULL], weighing.evaluated.errors.get(WITH_PAYLOAD)
+    note = f"rms error of the model over υ_P, in motion below 40 Hz, with m_p = 0: {_three(without.rms)} N m"
     if aware is not None:
         same = np.array_equal(aware.rms, without.rms)
         note += "; m̂_p is never trusted, so none is added" if same else f"; with m_p = m̂_p: {_three(aware.rms)} N m"
     head = ("picked", "true / kg", "m̂_p / kg", "seen after", "within 5 % after", "release seen after")
-    return PageTable("Payload: our estimator, pick by pick", head, rows, note + ".")
+    return PageTable(f"Payload: {BY_ESTIMATOR} {model}, pick by pick", head, rows, note + ".")
 
 
 def _mass(found: PaperResult) -> Figure:
     since = _since(found.picks.trace)
     truth = np.zeros(len(since))
-    for score in found.scores:
-        begin, end = np.array([score.truth.begin, score.truth.end]) - found.picks.trace.time[0]
-        truth[(since >= begin) & (since < end)] = score.truth.mass
+    for pick in found.truth:
+        begin, end = np.array([pick.begin, pick.end]) - found.picks.trace.time[0]
+        truth[(since >= begin) & (since < end)] = pick.mass
     reach = 2 * truth.max()
-    panels = tuple(
-        Panel(
-            "time / s",
-            "m_p / kg",
-            (
-                Line("truth", since, truth, Colour.MEASURED, "dashed"),
-                Line("all samples", since, np.clip(all_samples, -reach, reach), Colour.TEXTBOOK),
-                Line("samples at rest left out", since, np.clip(in_motion, -reach, reach), Colour.BEFORE),
-                Line(ESTIMATOR, since, found.weighed.mass, Colour.AFTER),
-            ),
-            title,
-            shade=_held(found),
-        )
-        for title, all_samples, in_motion in zip(
-            ("paper's recursion on the paper's model", "paper's recursion on our model"),
-            list(found.masses.values())[0:4:2],
-            list(found.masses.values())[1:4:2],
-            strict=True,
-        )
-    )
+
+    def panel(model: str) -> Panel:
+        recursions = found.masses[f"{BY_RECURSION} {model}"], found.masses[_in_motion(model)]
+        lines = [
+            Line("truth", since, truth, Colour.MEASURED, "dashed"),
+            Line("all samples", since, np.clip(recursions[0], -reach, reach), Colour.TEXTBOOK),
+            Line("samples at rest left out", since, np.clip(recursions[1], -reach, reach), Colour.BEFORE),
+        ]
+        if model in found.weighed:
+            lines.append(Line("our estimator", since, found.weighed[model].history.mass, Colour.AFTER))
+        return Panel("time / s", "m_p / kg", tuple(lines), f"on {model}", shade=_held(found))
+
+    panels = tuple(panel(model) for model in ("the paper's model", *found.weighed))
     caption = f"As known at each sample; cut off at ±{reach:g} kg. Simulated."
     return Figure("payload", "Payload over υ_P", caption, panels)
 
@@ -494,7 +529,7 @@ def _error(found: PaperResult) -> Figure:
 
 def _held(found: PaperResult) -> tuple[tuple[float, float], ...]:
     start = float(found.picks.trace.time[0])
-    return tuple((score.truth.begin - start, score.truth.end - start) for score in found.scores)
+    return tuple((pick.begin - start, pick.end - start) for pick in found.truth)
 
 
 def _since(trace: Trace) -> np.ndarray:
