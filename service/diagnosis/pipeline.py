@@ -33,6 +33,7 @@ from service.diagnosis.fit.selection import WITHIN_NOISE, Scored, Selection, sco
 from service.identification import pooled
 from service.identification.angle_unit import refuse_wrong_angles
 from service.identification.checks import SUSPECT, refuse_misread
+from service.identification.correlated import WHITE
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
@@ -107,10 +108,10 @@ def diagnose(
         wrong += base_doubts(problem, before, before if best is none else followed(best), none, best)
         doubts = wrong or doubts_of(problem, selection, limit)
     judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows, progress)
-    found, cautions = judged.selection, judged.cautions
-    values = Valued.of(problem, split, found)
-    selection = replace(found, best=statistics.combined(problem, values.best))
-    after = statistics.by_fold([values.best if one is found.best else one for one in judged.chosen], split)
+    judged, values = _valued(problem, split, judged, len(given))
+    cautions = judged.cautions
+    selection = replace(judged.selection, best=statistics.combined(problem, values.best))
+    after = statistics.by_fold(judged.chosen, split)
     gap, reference = plain.residuals, plain.hypothesis
     if baseline is not None:
         reference = hypothesis_of(baseline)
@@ -216,6 +217,19 @@ def _judged(
     if fell:
         chosen = [selection.none] * split.folds
     return Judged(selection, chosen, [*doubts, *fallen, *fell])
+
+
+def _valued(problem: Problem, split: Split, judged: Judged, given: int) -> tuple[Judged, Valued]:
+    """What stands with the values that are reported, which without the discrepancies that they were fitted beside have
+    to shrink the gap as well: a corrected description has none."""
+    found = judged.selection
+    values = Valued.of(problem, split, found)
+    chosen = [values.best if one is found.best else one for one in judged.chosen]
+    none, fell = together(problem, split, replace(found, noise=WHITE), chosen, given, vague=False)
+    if not fell:
+        return replace(judged, chosen=chosen), values
+    cut = Judged(none, [none.none] * split.folds, [*judged.cautions, *fell])
+    return cut, Valued.of(problem, split, none)
 
 
 def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:

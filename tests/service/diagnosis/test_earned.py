@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from schemas.diagnosis import Caution
+from service.diagnosis import pipeline
 from service.diagnosis.evidence import earned as judged
 from service.diagnosis.evidence.earned import earned, together
+from service.diagnosis.evidence.values import Valued
 from service.diagnosis.fit.selection import Standing
+from service.diagnosis.pipeline import Judged
 from service.identification.correlated import WHITE
 from tests.service.injected import reports
 from tests.service.subject import (
@@ -412,6 +415,23 @@ def test_all_names_fall_where_together_they_leave_the_gap_as_it_is(left, vague, 
     assert all(one.share == pytest.approx(whole, abs=0.01) for one in fallen)
     kept, fallen = together(made, split, found, walked, 2, vague)
     assert (kept, fallen) == (found, []), "the description's own do not have to earn it"
+
+
+@pytest.mark.parametrize(("left", "stands"), [(0.9, True), (1.1, False)])
+def test_names_fall_whose_values_leave_a_larger_gap_once_the_discrepancies_are_gone(monkeypatch, left, stands):
+    """The values are fitted beside discrepancies, which the corrected description does not have. left: of the gap."""
+    made = logs((1, 2, 3), "joint_spring")
+    split, found = Split.of(made), chosen(made, SPRING)
+    values = Valued(replace(found.best, residuals=[left * one for one in found.none.residuals]), np.zeros(1))
+    plain = Valued(found.none, np.zeros(0))
+    monkeypatch.setattr(Valued, "of", lambda problem, split, selection: values if selection.best.names else plain)
+    before = Judged(replace(found, noise=object()), [found.best] * split.folds, [])
+    kept, valued = pipeline._valued(made, split, before, 0)
+    assert kept.selection.best.names == (("joint_spring",) if stands else ())
+    assert valued is (values if stands else plain)
+    assert kept.chosen == [valued.best] * split.folds
+    assert codes(kept.cautions) == ([] if stands else [("no_shrink", "joint_spring", None)])
+    assert all(one.share == pytest.approx(1 - left, abs=0.01) for one in kept.cautions)
 
 
 def test_a_search_is_told_as_if_it_had_stopped_before_what_fell():
