@@ -450,8 +450,8 @@ def _mass(found: PaperResult) -> Figure:
         recursions = found.masses[f"{BY_RECURSION} {model}"], found.masses[_in_motion(model)]
         lines = [
             Line("truth", since, truth, Colour.MEASURED, "dashed"),
-            Line("all samples", since, np.clip(recursions[0], -reach, reach), Colour.TEXTBOOK),
-            Line("samples at rest left out", since, np.clip(recursions[1], -reach, reach), Colour.BEFORE),
+            Line("the paper's recursion, all samples", since, np.clip(recursions[0], -reach, reach), Colour.TEXTBOOK),
+            Line("the same, samples at rest left out", since, np.clip(recursions[1], -reach, reach), Colour.BEFORE),
         ]
         if model in found.weighed:
             lines.append(Line("our estimator", since, found.weighed[model].history.mass, Colour.AFTER))
