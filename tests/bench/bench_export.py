@@ -1,9 +1,8 @@
 """The exported C beside the service's compiled step: time, instructions, bytes, loops; random robots bit for bit; ten
 million hostile samples under the sanitizers; single precision; Structured Text by a compiler, where there is one.
-Written to results/export.json.
 
 uv run python -m tests.bench.bench_export [--robots 100] [--hostile 10000000] [--steps 10000000] [--seed 1]
-    [--strucpp FOLDER, of STruC++, built]
+    [--strucpp FOLDER, of STruC++, built] --store
 """
 
 from __future__ import annotations
@@ -143,6 +142,7 @@ def main() -> None:
     arguments.add_argument("--steps", type=int, default=10_000_000)
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--strucpp", type=Path, help="folder of STruC++, built: Structured Text is compiled by it")
+    arguments.add_argument("--store", action="store_true", help="put the figures into results/export.json")
     given = arguments.parse_args()
     need("gcc", "valgrind")
     robot = load_robot(ROBOT)
@@ -162,25 +162,25 @@ def main() -> None:
             "single": single(robot, samples, folder),
         }
         result["clang_tidy"] = tidied(folder)
-        write(result)
+        tell(result, given.store)
         if given.strucpp:
             result["structured_text"] = structured_text(robot, samples, given.strucpp, folder)
-            write(result)
+            tell(result, given.store)
         result["fmu"] = units(robot, folder)
         if HAS_WINE:
             result["windows"] = windows(robot, folder)
         result["stored"] = stored_logs(folder)
-        write(result)
+        tell(result, given.store)
         if given.hostile:
             result["hostile"] = hostile(robot, folder, given.hostile, given.seed)
-            write(result)
+            tell(result, given.store)
         if given.robots:
             result["random_robots"] = drawn(folder, given.robots, given.seed)
-            write(result)
+            tell(result, given.store)
 
 
-def write(result: dict[str, Any]) -> None:
-    """What there is by now."""
+def tell(result: dict[str, Any], stored: bool) -> None:
+    """What there is by now, and whether it is stored."""
     told: dict[str, tuple[float, int | str, str | None]] = {}
     for key, level in (("over_service", "-O2"), ("over_service_o3", "-O3")):
         side = result["kernel"][level]
@@ -235,7 +235,8 @@ def write(result: dict[str, Any]) -> None:
             f"by {found['compiler']}; {found['alike']} bit for bit",
         )
     print(json.dumps(result, indent=1))
-    print(f"kept in {store('export', told)}", flush=True)
+    if stored:
+        print(f"kept in {store('export', told)}", flush=True)
 
 
 def side_by_side(built: Built, samples: np.ndarray) -> dict[str, Any]:

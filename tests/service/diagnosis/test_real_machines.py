@@ -73,19 +73,26 @@ def amperes_of(document: dict[str, Any]) -> dict[int, float]:
     return found
 
 
-def test_cogging_of_many_orders_behind_a_filter(data: Path, tmp_path: Path) -> None:
-    """ODrive: slow turns. By the static map 0.86, 0.56, 0.35, 0.29, 0.26 A of orders 7, 28, 14, 36, 12, reported
-    through a low-pass of 1.27 Hz (by its setting) to 1.47 Hz (own fit beside the logs)."""
-    folder = data / "real" / "odrive_cogging"
+ORDERS = {7: 0.862, 28: 0.560, 14: 0.349, 36: 0.290, 12: 0.263}  # A of the ODrive's cogging, by its static map
+
+
+def odrive(data: Path, folder: Path) -> dict[str, Any]:
+    """What is diagnosed of its slow turns."""
     names = ("slow2/nocomp_0", "slow2/nocomp_1", "slow2/nocomp_2", "slow2_slower/nocomp_0")
-    document = diagnosed(tmp_path, COUNTED, [folder / f"{name}.npy" for name in names])
+    return diagnosed(folder, COUNTED, [data / "real" / "odrive_cogging" / f"{name}.npy" for name in names])
+
+
+def test_cogging_of_many_orders_behind_a_filter(data: Path, tmp_path: Path) -> None:
+    """ODrive: slow turns, reported through a low-pass of 1.27 Hz (by its setting) to 1.47 Hz (own fit beside the
+    logs)."""
+    document = odrive(data, tmp_path)
     assert sure(document) <= {"cogging", "torque_filter"}
     effects = {effect["name"]: effect["parameters"] for effect in document["effects"]}
     assert 1.27 / 1.05 < effects["torque_filter"]["cutoff"]["value"] < 1.47 * 1.05
     found = amperes_of(document)
-    for order, amperes in {7: 0.862, 28: 0.560, 14: 0.349, 36: 0.290, 12: 0.263}.items():
+    for order, amperes in ORDERS.items():
         assert found[order] == pytest.approx(amperes, rel=0.12), order
-    assert all(found[order] < 0.15 for order in found.keys() - {7, 28, 14, 36, 12})
+    assert all(found[order] < 0.15 for order in found.keys() - ORDERS.keys())
 
 
 def test_cogging_by_static_maps(data: Path, tmp_path: Path) -> None:
@@ -107,13 +114,18 @@ def test_cogging_by_static_maps(data: Path, tmp_path: Path) -> None:
     assert document["base"]["f_c_1"]["value"] / TORQUE_CONSTANT == pytest.approx(0.17, rel=0.05)
 
 
+def xl330(data: Path, folder: Path) -> dict[str, Any]:
+    """What is diagnosed of the logs whose torque is on all the time."""
+    logs = sorted((data / "real" / "bam_xl330" / "raw").glob("*.json"))
+    powered = [log for log in logs if log.stem[-8:] not in ("10h28m17", "10h29m21", "10h29m54")]
+    return diagnosed(folder, PWM, powered)
+
+
 def test_a_weight_is_neither_spring_nor_cogging_nor_filter(data: Path, tmp_path: Path) -> None:
     """Servo on a pendulum: m g l 0.4805 N m and 0.00654 kg m^2, of which the drive's constant is only known to a
     quarter; so their ratio is held against it. Friction takes 0.136 of the torque outside and 0.284 of the motor's: of
     a weight that is held 0.42."""
-    logs = sorted((data / "real" / "bam_xl330" / "raw").glob("*.json"))
-    powered = [log for log in logs if log.stem[-8:] not in ("10h28m17", "10h29m21", "10h29m54")]
-    document = diagnosed(tmp_path, PWM, powered)
+    document = xl330(data, tmp_path)
     assert sure(document) == {"load_dependent_friction"}
     lost = document["effects"][0]["parameters"]["mu"]
     assert lost["value"] == pytest.approx(0.136 + 0.284, rel=0.06)
@@ -166,65 +178,96 @@ def test_a_coupled_wrist_has_its_own_friction_and_a_coupled_arm_no_names(data: P
     assert base["f_v_4"] == pytest.approx(1.11, rel=0.05)
 
 
+TX40_VISCOUS, TX40_WRIST = (8.05, 5.53, 1.97, 1.11, 1.86, 0.65), 0.616  # published, N m s/rad: axes, motor 6 alone
+TX40_COULOMB_1 = 7.14  # published of axis 1, N m
+
+
+def tx40(data: Path, folder: Path) -> tuple[ChainIdentified, str]:
+    """What is identified of it as a chain, and what the command says."""
+    columns, coupling = tx40_columns()
+    (folder / "columns.toml").write_text(columns)
+    names, logs = [f"joint_{joint}" for joint in range(1, 7)], data / "real" / "tx40"
+    (folder / "tx40.toml").write_text(
+        f'name = "tx40"\nkind = "chain"\nurdf = "{logs}/tx40_mdh_modified.urdf"\njoints = {names}\n'
+        f'columns = "columns.toml"\n{coupling}'
+    )
+    arguments = ["identify", logs / "pos_read_data.csv", "--robot", folder / "tx40.toml"]
+    arguments += ["--out", folder / "found.toml"]
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    found = load_axes(folder / "found.toml").identified
+    assert isinstance(found, ChainIdentified)
+    return found, result.output
+
+
+def tx40_viscous(found: ChainIdentified) -> tuple[np.ndarray, float]:
+    """Viscous friction as it is published, N m s/rad: that of the wrist's axes holds their shared motor's; and that
+    motor's own."""
+    assert found.motor_viscous_friction is not None
+    wrist = found.motor_viscous_friction.value[5]
+    viscous = np.array(found.viscous_friction.value)
+    viscous[4:] += wrist
+    return viscous, wrist
+
+
 def test_an_arm_by_its_urdf_has_the_friction_that_is_published(data: Path, tmp_path: Path) -> None:
     """Staubli TX40 as a chain, friction as published with it; that of axes 1 and 2 turns over slowly, which `sign` has
     not: what both models have in common is friction at a speed."""
     pytest.importorskip("pinocchio")
-    folder = data / "real" / "tx40"
-    columns, coupling = tx40_columns()
-    (tmp_path / "columns.toml").write_text(columns)
-    names = [f"joint_{joint}" for joint in range(1, 7)]
-    (tmp_path / "tx40.toml").write_text(
-        f'name = "tx40"\nkind = "chain"\nurdf = "{folder}/tx40_mdh_modified.urdf"\njoints = {names}\n'
-        f'columns = "columns.toml"\n{coupling}'
-    )
-    arguments = ["identify", folder / "pos_read_data.csv", "--robot", tmp_path / "tx40.toml"]
-    arguments += ["--out", tmp_path / "found.toml"]
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    found = load_axes(tmp_path / "found.toml").identified
-    assert isinstance(found, ChainIdentified)
-    assert found.motor_viscous_friction is not None
+    found, said = tx40(data, tmp_path)
     assert found.motor_coulomb_friction is not None
-    wrist = np.array(found.motor_viscous_friction.value)[[5]]
-    viscous = np.array(found.viscous_friction.value)
-    viscous[4:] += wrist  # the published figures are those of both together
-    assert viscous == pytest.approx([8.05, 5.53, 1.97, 1.11, 1.86, 0.65], rel=0.05)
-    assert wrist[0] == pytest.approx(0.616, rel=0.05)
+    viscous, wrist = tx40_viscous(found)
+    assert viscous == pytest.approx(TX40_VISCOUS, rel=0.05)
+    assert wrist == pytest.approx(TX40_WRIST, rel=0.05)
     coulomb, widths = np.array(found.coulomb_friction.value), np.array(found.friction_transition)[:6]
     assert coulomb[2:5] == pytest.approx([6.34, 2.48, 3.03], rel=0.05)
     assert coulomb[5] == pytest.approx(0.282, abs=0.03), "not what the wrist's motor has"
     at_one = viscous + coulomb * np.tanh(1.0 / widths)  # N m at 1 rad/s
-    assert at_one[0] == pytest.approx(8.05 + 7.14, rel=0.08)
+    assert at_one[0] == pytest.approx(TX40_VISCOUS[0] + TX40_COULOMB_1, rel=0.08)
     assert at_one[1] == pytest.approx(5.53 + 8.26, rel=0.05)
     assert found.motor_coulomb_friction.value[5] == pytest.approx(1.95, rel=0.05)
     assert found.rigid["inertia_motor_6"].value == pytest.approx(0.0096, abs=0.0033)
     assert found.torque_timing_s == pytest.approx(-2.4e-3, abs=4e-4)
-    assert "the position is 2" in " ".join(result.output.split())
+    assert "the position is 2" in " ".join(said.split())
+
+
+UR10_FRICTION = np.array([14.45, 14.22, 7.73, 3.55, 2.64, 2.78]) + [
+    13.93,
+    17.17,
+    9.37,
+    2.63,
+    2.80,
+    3.52,
+]  # N m at 1 rad/s
+
+
+def ur10(data: Path, folder: Path) -> dict[str, Any]:
+    """What is diagnosed of it as a chain."""
+    logs = data / "real" / "ur10_unisa"
+    names = [f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
+    position, torque = (", ".join(f'"{name}.{what}"' for name in names) for what in ("position", "effort"))
+    (folder / "columns.toml").write_text(f'joints = 6\ntime = "time"\nposition = [{position}]\ntorque = [{torque}]\n')
+    (folder / "axes.toml").write_text(
+        f'name = "ur10"\nkind = "chain"\nurdf = "{logs}/ur10_robot.urdf"\njoints = {names}\ncolumns = "columns.toml"\n'
+    )
+    return run(folder, [logs / "ur10_exciting_trajectory.db3"])
+
+
+def ur10_friction(document: dict[str, Any]) -> np.ndarray:
+    """N m at 1 rad/s."""
+    base = {key: estimate["value"] for key, estimate in document["base"].items()}
+    return np.array([base[f"f_v_{j}"] + base[f"f_c_{j}"] for j in range(1, 7)])
 
 
 def test_a_smoothed_log_of_an_arm_leaves_what_is_known_and_gets_no_name(data: Path, tmp_path: Path) -> None:
     """UR10 as a chain: everything was smoothed to below 5 Hz after the recording, which is no filter of the drive, and
     what sits at reversals is the smoothing. Published: 3 to 13 % left, axis 6 20 to 29 %; friction at 1 rad/s."""
     pytest.importorskip("pinocchio")
-    folder = data / "real" / "ur10_unisa"
-    names = [f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
-    position, torque = (", ".join(f'"{name}.{what}"' for name in names) for what in ("position", "effort"))
-    (tmp_path / "columns.toml").write_text(f'joints = 6\ntime = "time"\nposition = [{position}]\ntorque = [{torque}]\n')
-    (tmp_path / "ur10.toml").write_text(
-        f'name = "ur10"\nkind = "chain"\nurdf = "{folder}/ur10_robot.urdf"\njoints = {names}\n'
-        'columns = "columns.toml"\n'
-    )
-    arguments = ["diagnose", folder / "ur10_exciting_trajectory.db3", "--robot", tmp_path / "ur10.toml"]
-    result = CliRunner().invoke(app, [*map(str, arguments), "--out", str(tmp_path / "out")], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    document = ur10(data, tmp_path)
     assert not [effect["name"] for effect in document["effects"] if effect["probability"] >= SURE]
     left = np.array(document["gap"]["before_nm"]) / document["gap"]["torque_nm"]
     assert max(left[:5]) < 0.13
     assert left[5] < 0.29
-    base = {key: estimate["value"] for key, estimate in document["base"].items()}
-    published = np.array([14.45, 14.22, 7.73, 3.55, 2.64, 2.78]) + [13.93, 17.17, 9.37, 2.63, 2.80, 3.52]
-    friction = np.array([base[f"f_v_{j}"] + base[f"f_c_{j}"] for j in range(1, 7)])
+    friction, published = ur10_friction(document), UR10_FRICTION
     assert friction[[0, 2, 3, 4, 5]] == pytest.approx(published[[0, 2, 3, 4, 5]], rel=0.06)
     assert friction[1] == pytest.approx(published[1], rel=0.16), "its gravity is 143 N m"
