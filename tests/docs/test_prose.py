@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shutil
 from pathlib import Path
@@ -93,10 +94,32 @@ def test_every_bench_has_its_table() -> None:
         assert f"({name}.md)" in figures.index()
 
 
-@pytest.mark.parametrize("name", ["blindtest", "blindtest_families"])
-def test_bounds_of_the_blind_test_are_those_of_the_tool(name: str) -> None:
-    for one in figures.benches()[name].figures:
-        assert one.bound == BOUNDS[one.key][1], one.key
+def test_bounds_of_the_blind_test_are_those_of_the_tool() -> None:
+    assert {one.key: (one.figure, one.bound) for one in figures.benches()["blindtest"].figures} == BOUNDS
+
+
+RUN = re.compile(r"uv run (?:--group \w+ )?python -m ([\w.]+)\b")
+
+
+def writes(module: str, name: str) -> bool:
+    """Whether a bench accepts `--store` and, where it calls `store`, gives it that name."""
+    path = REPOSITORY / module.replace(".", "/")
+    source = (path / "__main__.py" if path.is_dir() else path.with_suffix(".py")).read_text(encoding="utf-8")
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call) and node.args]
+    given = [(ast.unparse(call.func).rpartition(".")[2], call.args[0]) for call in calls]
+    constants = {(called, first.value) for called, first in given if isinstance(first, ast.Constant)}
+    return {("add_argument", "--store"), ("store", name)} <= constants
+
+
+@pytest.mark.parametrize("name", sorted(figures.benches()))
+def test_what_stands_in_a_file_of_figures_is_stored_by_its_commands(name: str) -> None:
+    found = [(RUN.match(command), command.split()) for command in figures.benches()[name].run]
+    last = {told[1]: words for told, words in found if told}  # of a bench in steps the last one stores
+    assert last
+    assert all(told for told, _ in found)
+    for module, words in last.items():
+        assert "--store" in words, module
+        assert writes(module, name), module
 
 
 def test_what_a_bench_measures_takes_the_place_of_what_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
