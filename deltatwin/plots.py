@@ -89,23 +89,24 @@ def of_evaluation(result: EvaluationResult, number: int) -> go.Figure:
 def of_payload(result: PayloadResult) -> go.Figure:
     """The mass over time in its band, and its events."""
     found = result.history
+    time = found.time - found.time[0]  # a log from the bus counts from 1970
     low, high = found.mass - 2 * found.std_dev, found.mass + 2 * found.std_dev
     figure = go.Figure()
-    figure.add_scatter(x=found.time, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip")
+    figure.add_scatter(x=time, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip")
     figure.add_scatter(
-        x=found.time, y=low, line={"width": 0}, fill="tonexty", fillcolor=faint(Colour.PAYLOAD),
+        x=time, y=low, line={"width": 0}, fill="tonexty", fillcolor=faint(Colour.PAYLOAD),
         name="± 2 standard deviations", hoverinfo="skip",
     )  # fmt: skip
-    figure.add_scatter(x=found.time, y=found.mass, name="mass", line={"width": 1.5, "color": Colour.PAYLOAD})
+    figure.add_scatter(x=time, y=found.mass, name="mass", line={"width": 1.5, "color": Colour.PAYLOAD})
     for event, colour in EVENTS.items():
         rows = np.flatnonzero(found.event == event)
         figure.add_scatter(
-            x=found.time[rows], y=found.mass[rows], mode="markers", name=event.name.lower(),
+            x=time[rows], y=found.mass[rows], mode="markers", name=event.name.lower(),
             marker={"color": colour, "size": 9, "symbol": "triangle-up"},
         )  # fmt: skip
     top = float(np.nanmax(found.mass, initial=0.0))
     figure.update_yaxes(title_text="mass, kg", range=[-0.1 * top - 0.1, 1.2 * top + 0.2])
-    figure.update_xaxes(title_text=f"time in {result.trace}, s")
+    figure.update_xaxes(title_text=f"time since the start of {result.trace}, s")
     return figure.update_layout(height=340)
 
 

@@ -138,6 +138,14 @@ def test_results_are_short_in_a_notebook_and_have_a_frame_and_a_plot(results: di
     Checked(deltatwin.results.html("<script>", ["a < b"], ["&"], [["<b>"]]))
 
 
+def test_a_payload_is_drawn_from_the_start_of_its_log(demo: tuple) -> None:
+    """Whose clock may count from 1970."""
+    robot, log = demo
+    late = dt.Trace.from_arrays(log.time + 849321714.0, log.position, log.torque, robot=robot)
+    time = dt.payload(robot, late).plot().data[0].x
+    assert (time[0], time[-1]) == pytest.approx((0.0, log.time[-1] - log.time[0]), abs=1e-3)
+
+
 def test_arrays_and_frames_are_the_trace_they_came_from(demo: tuple) -> None:
     robot, log = demo
     again = dt.Trace.from_dataframe(log.to_frame(), robot=robot)

@@ -16,6 +16,8 @@ from docs.making.tutorials import run as run_tutorial
 from drivers.trace.mcap_file import write_samples
 from service.demonstration import compare
 from service.monitor.readback import read_recording
+from service.pages import BROWSERS
+from tests.docs.test_tutorials import is_drawn
 from tests.drivers.ethercat import rig
 
 DEMO = (sys.executable, "-c", "from service.cli.main import main; main()", "ethercat-demo", "--out")
@@ -36,7 +38,7 @@ def demonstrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     if shutil.which("dumpcap") is None:
         pytest.skip("needs dumpcap (wireshark-common) to capture the wire")
     folder = tmp_path_factory.mktemp("demonstration")
-    said = run_tutorial(TUTORIALS / "ethercat.md", folder)
+    said = run_tutorial(TUTORIALS / "ethercat.md", folder, folder if any(map(shutil.which, BROWSERS)) else None)
     return folder / "work" / "wire", said
 
 
@@ -48,6 +50,13 @@ def test_every_claim_holds(demonstrated: tuple[Path, str]) -> None:
     assert "\nfails " not in said
     names = {path.name for path in out.iterdir()}
     assert names >= {"own.mcap", "first.mcap", "second.mcap", "offline.mcap", "wire.pcapng", "identified.toml"}
+
+
+@pytest.mark.timeout(600)
+def test_the_picture_of_its_payload_is_drawn(demonstrated: tuple[Path, str]) -> None:
+    if not any(map(shutil.which, BROWSERS)):
+        pytest.skip("needs a browser to draw")
+    assert is_drawn(demonstrated[0].parents[1] / "pictures" / "ethercat.png")
 
 
 @pytest.mark.timeout(600)
