@@ -1,7 +1,8 @@
 """Runs a tutorial as it is written: `python -m docs.making.tutorials csv-to-cause --pictures`.
 
 Of a page, in order: a block with a title is a file to write; a `bash` block is a command to run, in an empty folder
-beside the clone; every line of a `text` block must stand in the output of the command above it, but for its numbers;
+beside the clone; every line of a `text` block must stand in the output of the command above it, its numbers to within a
+fifth, for random draws and processors differ, but for what a machine's speed decides;
 `<!-- picture: report.html pictures/name.png -->` is a screenshot of a page that the commands wrote.
 """
 
@@ -27,6 +28,8 @@ _BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 _NUMBER = re.compile(r"[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
+_OF_SPEED = re.compile(rf"(?:{_NUMBER.pattern})(?= ?(?:[µmn]s|min)\b)")
+_NEAR = 0.2  # of the number that the page shows
 _SHOT = ("--window-size=1000,1100", "--hide-scrollbars")
 _RULES = re.compile(r"[\u2500-\u257f|]")
 
@@ -85,7 +88,7 @@ def run(path: Path, folder: Path, pictures: Path | None = None) -> str:
             everything += said
         elif block.kind == "text":
             for line in block.body.splitlines():
-                if _plain(line) not in _plain(said):
+                if not stands(line, said):
                     raise TutorialError(f"{path.name}: {line!r} is not in the output of the command:\n{said}")
         elif pictures is not None:
             _photograph(work / block.body, pictures / block.name)
@@ -106,8 +109,30 @@ def _ran(body: str, work: Path) -> str:
     return done.stdout
 
 
-def _plain(text: str) -> str:
-    return " ".join(_NUMBER.sub("#", _RULES.sub(" ", text.replace("...", ""))).split())
+def stands(line: str, said: str) -> bool:
+    """Whether a line of a page stands in an output, with numbers that are near enough."""
+    (wanted, shown), (everything, found) = _plain(line), _plain(said)
+    begins = [match.start() for match in re.finditer(rf"(?={re.escape(wanted)})", everything)]
+    firsts = [everything[:begin].count("#") for begin in begins]
+    return any(all(map(_near, shown, found[first : first + len(shown)])) for first in firsts)
+
+
+def _near(shown: str, found: str) -> bool:
+    """Whether a number is another to within a fifth, or to a step of its last decimal; what is no number is itself."""
+    try:
+        value, other = float(shown.replace(",", ".")), float(found.replace(",", "."))
+    except ValueError:
+        return shown == found
+    digits, _, power = shown.replace(",", ".").partition("e")
+    decimals = len(digits.partition(".")[2])
+    step = 10.0 ** (int(power or 0) - decimals) if decimals else 0.0  # one joint is not another
+    return abs(other - value) <= 1.001 * max(_NEAR * abs(value), step)
+
+
+def _plain(text: str) -> tuple[str, list[str]]:
+    """A text without its numbers, rules and line ends; and its numbers in order."""
+    text = _OF_SPEED.sub("", _RULES.sub(" ", text.replace("...", "").replace("#", "")))
+    return " ".join(_NUMBER.sub("#", text).split()), _NUMBER.findall(text)
 
 
 def _photograph(page: Path, picture: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from docs.making.tutorials import TUTORIALS, TutorialError, blocks, commands, run
+from docs.making.tutorials import TUTORIALS, TutorialError, blocks, commands, run, stands
 from service.pages import BROWSERS
 
 NAMES = sorted(path.stem for path in TUTORIALS.glob("*.md") if path.stem != "index")
@@ -44,7 +44,7 @@ def test_every_tutorial_has_a_picture_or_an_answer(name: str) -> None:
 
 def test_an_answer_that_does_not_come_is_told(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text('```toml title="a.txt"\nmass 3.0\n```\n```bash\ncat a.txt\n```\n```text\nmass 2.5\n```\n')
+    page.write_text('```toml title="a.txt"\nmass 3.0\n```\n```bash\ncat a.txt\n```\n```text\nmass 2.9\n```\n')
     assert run(page, made(tmp_path / "one")) == "mass 3.0\n"
     page.write_text("```bash\necho mass\n```\n```text\nlength 2.5\n```\n")
     with pytest.raises(TutorialError, match=r"'length 2.5' is not in the output"):
@@ -52,6 +52,32 @@ def test_an_answer_that_does_not_come_is_told(tmp_path: Path) -> None:
     page.write_text("```bash\nexit 3\n```\n")
     with pytest.raises(TutorialError, match="exit code 3"):
         run(page, made(tmp_path / "three"))
+
+
+@pytest.mark.parametrize(
+    ("line", "said", "holds"),
+    [
+        ("mass 2.5 kg", "mass 3.0 kg", True),
+        ("mass 2.5 kg", "mass 3.1 kg", False),
+        ("mass 2.5 kg", "mass 1.0 kg\nmass 2.4 kg", True),
+        ("mass 2.5 kg", "mass 2.5 g", False),
+        ("mass -2.5 kg", "mass 2.5 kg", False),
+        ("shrink 0.01", "shrink 0.02", True),
+        ("shrink 0.01", "shrink 0.03", False),
+        ("1e-06 rad", "1.1e-06 rad", True),
+        ("1e-06 rad", "1e-05 rad", False),
+        ("joint 2", "joint 3", False),
+        ("2 of 2", "1 of 2", False),
+        ("on 2026-03-02", "on 2026-03-01", False),
+        ("version 1.2.3", "version 1.2.4", False),
+        ("takes 30 ms of 4 m", "takes 90 ms of 4 m", True),
+        ("takes 30 ms of 4 m", "takes 30 ms of 9 m", False),
+        ("3,5;7", "3,6;7", True),
+        ("│ full │ 0.174", "full   0.180", True),
+    ],
+)
+def test_a_figure_that_went_stale_is_seen(line: str, said: str, holds: bool) -> None:
+    assert stands(line, said) is holds
 
 
 def is_drawn(picture: Path) -> bool:
