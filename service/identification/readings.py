@@ -361,6 +361,8 @@ def judge(
     best = found[choice.taken]
     if len(positions) == 1 and best.position.get("side") == "motor" and best.left is not None:
         best.reasons.append("positions are of the motor: no joint turns that far")
+    if len(positions) == 1 and best.position["unit"] == "deg" and not told[0]:
+        best.reasons.append("positions are deg: as rad no joint moves that far or that fast")
     if choice.second is not None:
         _tell_choice(best, found[choice.second], choice, told[0], named(positions[0]))
     return way.settle(robot, runs, best, torque)

@@ -78,6 +78,15 @@ def test_units_and_side_of_the_positions(geared: Robot, log: Trace, degrees: boo
     assert ("positions are deg: the file says so" in found.reasons) == says
 
 
+def test_degrees_that_no_file_states_are_told(robot: Robot, log: Trace) -> None:
+    """Nothing else is possible without a gear, so that nothing is compared."""
+    told = "positions are deg: as rad no joint moves that far or that fast"
+    scale = 180 / np.pi
+    assert told in propose(written(log, scale), robot, Stated()).reasons
+    assert told not in propose(written(log, scale, names=("q{} [deg]", "tau{}")), robot, Stated()).reasons
+    assert told not in propose(written(log), robot, Stated()).reasons
+
+
 @pytest.mark.parametrize("turn", [(1, -1, -1)])
 @pytest.mark.parametrize("where", ["position", "torque"])
 def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[float, ...]) -> None:
