@@ -111,7 +111,7 @@ def writes(module: str, name: str) -> bool:
     return {("add_argument", "--store"), ("store", name)} <= constants
 
 
-@pytest.mark.parametrize("name", sorted(figures.benches()))
+@pytest.mark.parametrize("name", sorted({*figures.benches()} - {"spike_evidence"}))  # a trial whose code was given up
 def test_what_stands_in_a_file_of_figures_is_stored_by_its_commands(name: str) -> None:
     found = [(RUN.match(command), command.split()) for command in figures.benches()[name].run]
     last = {told[1]: words for told, words in found if told}  # of a bench in steps the last one stores
