@@ -19,7 +19,7 @@ def command(
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
 ) -> None:
-    """Show the state of all roles on the bus until Ctrl-C, twenty times per second, or once per second in a pipe.
+    """Show the state of all roles on the bus until q or Ctrl-C, twenty times per second, or once per second in a pipe.
 
     It only listens, and runs at a lower priority than all roles. A robot has one observer: end its `view` first.
 
@@ -29,7 +29,6 @@ def command(
     import time
 
     from rich.console import Group
-    from rich.live import Live
 
     from drivers.bus import open_bus
     from schemas.axes_description import load_description
@@ -43,14 +42,20 @@ def command(
     with open_bus(name, Role.OBSERVER, zenoh_config, insecure, ros_domain) as bus:
         os.nice(NICENESS)
         joints, roles = Joints(bus, description), Roles(bus)
-        if not sys.stdout.isatty():
+        if not (sys.stdout.isatty() and sys.__stdin__):
             while not stopped():
                 time.sleep(1.0)
                 screen.print(joints.table(name), roles.table())
         else:
-            with Live(console=screen, screen=True, auto_refresh=False) as display:
-                while not stopped():
-                    time.sleep(REFRESH_S)
-                    display.update(Group(joints.table(f"{name}; Ctrl-C ends it"), "", roles.table()), refresh=True)
+            from service.cli.screen import Screen
+
+            def picture() -> Group:
+                return Group(joints.table(f"{name}; q or Ctrl-C ends it"), "", roles.table())
+
+            drawn = Screen(picture, stopped, REFRESH_S)
+            if failed := drawn.run(mouse=False):
+                raise failed
+            if drawn.return_code:  # Textual has said why
+                raise SystemExit(drawn.return_code)
             screen.print(joints.table(name), roles.table())  # the last of it stays in the terminal
     conclude("To record what was shown:", "monitor", "--robot", robot)

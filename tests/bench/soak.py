@@ -162,7 +162,7 @@ class Soak:
             self.processes[name] = subprocess.Popen([*place, COMMAND, *map(str, arguments)], stdout=out, stderr=out)
 
     def _show_top(self, robot: list[object]) -> None:
-        """`top` on a terminal of its own, whose pictures (each begins with the cursor sent home) are counted."""
+        """`top` on a terminal of its own, whose pictures (each has one second line) are counted."""
         here, there = pty.openpty()
         command = [COMMAND, "top", *map(str, robot)]
         self.processes["top"] = subprocess.Popen(
@@ -171,7 +171,7 @@ class Soak:
         os.close(there)
         with contextlib.suppress(OSError):  # `top` has ended
             while data := os.read(here, 65536):
-                self._shown.value += data.count(b"\x1b[H")
+                self._shown.value += data.count(b"\x1b[2;1H")
         os.close(here)
 
     def listen(self) -> None:

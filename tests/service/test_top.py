@@ -73,3 +73,32 @@ def test_what_is_on_the_bus_is_shown(bus_folder: Path, bench_robot: Path, until:
     for said in ("torque measured, N m", "+2.00", "+2.50", "1.234", "trusted", "at rest", "0.50", "estimator", "runs"):
         assert said in text, text
     assert not terminal or max(len(line) for line in text.replace("\r", "").split("\n")) <= 80
+
+
+@pytest.mark.parametrize("by", [b"q", b"\x03", signal.SIGTERM])
+def test_the_terminal_is_as_it_was(bus_folder: Path, bench_robot: Path, by: bytes | signal.Signals) -> None:
+    """Standard error is not the terminal, and nothing is on the bus: the screen is there, and nothing of it stays."""
+    master, slave = os.openpty()
+    before = termios.tcgetattr(slave)
+    process = subprocess.Popen(
+        [PROGRAM, "top", "--robot", bench_robot], stdin=slave, stdout=slave, stderr=subprocess.DEVNULL,
+        env=os.environ | {"TERM": "xterm-256color", "COLORTERM": "truecolor"},
+    )  # fmt: skip
+    seen = b""
+    while b"bench; q or Ctrl-C ends it" not in seen:
+        seen += os.read(master, 1 << 16)
+    during = termios.tcgetattr(slave)
+    assert during[3] & termios.ECHO == 0
+    if isinstance(by, bytes):
+        os.write(master, by)
+    else:
+        process.send_signal(by)
+    while b"next: deltatwin monitor" not in seen:
+        seen += os.read(master, 1 << 16)
+    assert process.wait(30) == 0
+    assert termios.tcgetattr(slave) == before
+    os.close(slave)
+    os.close(master)
+    shown, left = (seen.rfind(code) for code in (b"\x1b[?1049h", b"\x1b[?1049l"))
+    assert -1 < shown < left < seen.rfind(b"\x1b[?25h")
+    assert not re.search(rb"\x1b\[[0-9;]*[34]8;[25];", seen)  # no colours but the terminal's own
