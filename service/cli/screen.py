@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from typing import TYPE_CHECKING, ClassVar
 
@@ -23,6 +24,11 @@ class _Terminal(LinuxDriver):
         super().__init__(app, debug=debug, mouse=mouse, size=size)
         assert sys.__stdout__ is not None
         self._file = sys.__stdout__
+
+    @property
+    def gone(self) -> bool:
+        """Whether what was drawn last could not be written: nobody takes what is drawn after it, and it would wait."""
+        return self._writer_thread is not None and not self._writer_thread.is_alive()
 
     def run_input_thread(self) -> None:
         """Wait for keys; where none can come, for the end: a file that has ended is always ready to be read."""
@@ -61,6 +67,9 @@ class Screen(App[Exception]):
     def _draw(self) -> None:
         if self._stopped():
             self.exit()
+            return
+        if isinstance(self._driver, _Terminal) and self._driver.gone:
+            self.exit(OSError(errno.EIO, "the terminal is gone"))
             return
         try:
             picture = self._picture()

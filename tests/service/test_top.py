@@ -102,3 +102,18 @@ def test_the_terminal_is_as_it_was(bus_folder: Path, bench_robot: Path, by: byte
     shown, left = (seen.rfind(code) for code in (b"\x1b[?1049h", b"\x1b[?1049l"))
     assert -1 < shown < left < seen.rfind(b"\x1b[?25h")
     assert not re.search(rb"\x1b\[[0-9;]*[34]8;[25];", seen)  # no colours but the terminal's own
+
+
+def test_it_ends_when_the_terminal_is_gone(bus_folder: Path, bench_robot: Path) -> None:
+    """Of which no signal tells where the terminal is not the controlling one."""
+    master, slave = os.openpty()
+    process = subprocess.Popen(
+        [PROGRAM, "top", "--robot", bench_robot], stdin=slave, stdout=slave, stderr=subprocess.PIPE
+    )
+    os.close(slave)
+    seen = b""
+    while b"ends it" not in seen:
+        seen += os.read(master, 1 << 16)
+    os.close(master)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 1, said
