@@ -42,7 +42,7 @@ RECEIVE_SHARE = 0.8  # of a cycle to wait for the frame to come back
 SILENCE = 0.02  # s, SOEM's longest wait for an answer: what has not come by then is not on its way
 AHEAD_SPEED = 1.0  # rad/s, of motors that get ahead of a plan: torque of 5000 N m/s on a gear of 5000 N m/rad
 _LATE_FRAMES = 1024  # read at once at most
-_LEAST_TRIES = 3  # before a bus that says another thing each time is given up
+_MOST_TRIES = 10  # of a bus that says another thing each time: answers that come too late, not what it is
 
 _NEXT_CONTROL = {
     DriveState.FAULT: Control.FAULT_RESET,
@@ -398,7 +398,7 @@ class Master:
                 late = time.monotonic() - give_up
                 said.append(str(error))
                 alike = said[-1] == said[-2]  # one alone may be a frame that was lost, however long its try took
-                if late > 0 and (alike or (late > BRING_UP_TIME and len(said) > _LEAST_TRIES)):
+                if late > 0 and (alike or len(said) > _MOST_TRIES):
                     raise
 
     def _wait_for_silence(self) -> None:

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from drivers.motion import Payload
+from schemas.questions import Question, as_delta
 from schemas.robot import Robot
 from schemas.trace import Trace
 from schemas.words import counted, fixed, percent, significant
@@ -124,8 +125,7 @@ def run(
     equations = [summarise(pack(robot), log) for log in logs]
     by_paper, by_pooled = identify(robot, equations, "paper"), identify(robot, equations, "pooled")
     literal = _with_values(by_paper.robot, paper_method.literal(pack(robot), logs)[0])
-    found = corrected(diagnose(robot, logs, catalogue(), progress))
-    assert isinstance(found, Robot)
+    found = as_delta(corrected(diagnose(robot, logs, catalogue(), progress)), Question.PICKS)
     progress("weighing what was picked")
     start = float(picks.time[0])
     truth = [Pick(start + load.pick, start + load.release, load.mass) for load in carried]
