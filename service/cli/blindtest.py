@@ -91,10 +91,12 @@ def command(
         typer.echo(as_json("blindtest", {"summary": figures, "refused": refused, "missed": late}))
     else:
         drawn = [
-            (label, str(figures[key]), bound) for key, (label, bound) in BOUNDS.items() if figures[key] is not None
+            (label, str(figures[key]), str(figures["counts"][key]), bound)
+            for key, (label, bound) in BOUNDS.items()
+            if figures[key] is not None
         ]
         title = f"{figures['cases']} cases, {figures['failed']} failed"
-        console().print(table(("figure", "measured", "bound"), drawn, title))
+        console().print(table(("figure", "measured", "of", "bound"), drawn, title))
         for line in refused:
             typer.echo(line)
         typer.echo(f"wrote {out / 'blindtest.html'}")

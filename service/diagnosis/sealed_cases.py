@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -251,51 +252,60 @@ def _f1(named: list[str], effects: list[str]) -> float:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The figures of merit over judged rows."""
+    """The figures of merit over judged rows, and by the same keys in `counts` of how many values each is."""
     good = [row for row in rows if "error" not in row]
-    unexplained = ("unexplained", "partly_explained")
-
-    def of(*kinds: str, findable: bool = False) -> list[dict[str, Any]]:
-        return [row for row in good if row["kind"] in kinds and (not findable or row["lift"] >= FINDABLE)]
-
-    def mean(values: list[Any]) -> float | None:
-        return round(float(np.mean(values)), 3) if values else None
-
-    single, known = of("catalogue", findable=True), of("null", "catalogue", "pair", "unknown")
-    picks, scope = of("production", findable=True), of("scope", findable=True)
-    errors = [abs(row["claimed"] - row["shrink"]) for row in known]
-    floors = [row["after_nm"] / row["floor_nm"] for row in of("catalogue", "null")]
+    values = {key: (statistic, figures) for key, statistic, figures in _measured(good)}
     sure = sum(row["sure"] for row in good)
     return {
         "cases": len(rows),
         "failed": len(rows) - len(good),
-        "findable_single": len(single),
-        "right_first": mean([row["hit"] for row in single]),
-        "right_joint": mean([row["joint_ok"] for row in single if "joint_ok" in row]),
-        "extra_per_case": mean([row["extra"] for row in of("null", "catalogue", "pair")]),
-        "null_clean": mean([row["verdict"] == "within_noise" and not row["named"] for row in of("null")]),
-        "unknown_said": mean([row["verdict"] in unexplained for row in of("unknown", findable=True)]),
-        "pair_both": mean([row["both"] for row in of("pair")]),
-        "after_over_floor_median": round(float(np.median(floors)), 3) if floors else None,
-        "claim_error_median": round(float(np.median(errors)), 3) if errors else None,
-        "claim_error_p90": round(float(np.quantile(errors, 0.9)), 3) if errors else None,
-        "three_f1": mean([row["f1"] for row in of("three")]),
-        "three_first": mean([row["hit"] for row in of("three")]),
-        "three_extra": mean([row["extra"] for row in of("three")]),
-        "outside_f1": mean([row["f1"] for row in of("outside")]),
-        "outside_said": mean([row["verdict"] in unexplained for row in of("outside")]),
-        "outside_extra": mean([row["extra"] for row in of("outside")]),
-        "description_right": mean([row["extra"] == 0 for row in of("description")]),
-        "description_extra": mean([row["extra"] for row in of("description")]),
-        "production_told": mean([row["told"] for row in picks]),
-        "production_first": mean([row["hit"] for row in picks]),
-        "scope_first": mean([row["hit"] for row in scope]),
-        "scope_explained": mean([row["verdict"] == "explained" for row in scope]),
+        "findable_single": len(values["right_first"][1]),
+        **{key: _digits(key, statistic(figures)) if figures else None for key, (statistic, figures) in values.items()},
         "sure_names": sure,
         "calibration": round(1 - sum(row["false_sure"] for row in good) / sure, 3) if sure else None,
-        "seconds_median": round(float(np.median([row["seconds"] for row in good])), 1) if good else None,
-        "cpu_seconds_median": round(float(np.median([row["cpu_seconds"] for row in good])), 1) if good else None,
+        "counts": {key: len(figures) for key, (_, figures) in values.items()} | {"calibration": sure},
     }
+
+
+def _digits(key: str, value: float) -> float:
+    return round(float(value), 1 if "seconds" in key else 3)
+
+
+def _measured(good: list[dict[str, Any]]) -> Iterator[tuple[str, Callable[..., Any], list[Any]]]:
+    """Key of a figure of merit, the statistic, and what it is of: a value a case, of the cases that it concerns."""
+    unexplained = ("unexplained", "partly_explained")
+    most = partial(np.quantile, q=0.9)
+
+    def of(*kinds: str, findable: bool = False) -> list[dict[str, Any]]:
+        return [row for row in good if row["kind"] in kinds and (not findable or row["lift"] >= FINDABLE)]
+
+    single, known = of("catalogue", findable=True), of("null", "catalogue", "pair", "unknown")
+    picks, scope = of("production", findable=True), of("scope", findable=True)
+    three, outside = of("three"), of("outside")
+    errors = [abs(row["claimed"] - row["shrink"]) for row in known]
+    yield "right_first", np.mean, [row["hit"] for row in single]
+    yield "right_joint", np.mean, [row["joint_ok"] for row in single if "joint_ok" in row]
+    yield "extra_per_case", np.mean, [row["extra"] for row in of("null", "catalogue", "pair")]
+    yield "null_clean", np.mean, [row["verdict"] == "within_noise" and not row["named"] for row in of("null")]
+    yield "unknown_said", np.mean, [row["verdict"] in unexplained for row in of("unknown", findable=True)]
+    yield "pair_both", np.mean, [row["both"] for row in of("pair")]
+    yield "after_over_floor_median", np.median, [row["after_nm"] / row["floor_nm"] for row in of("catalogue", "null")]
+    yield "claim_error_median", np.median, errors
+    yield "claim_error_p90", most, errors
+    yield "three_f1", np.mean, [row["f1"] for row in three]
+    yield "three_first", np.mean, [row["hit"] for row in three]
+    yield "three_extra", np.mean, [row["extra"] for row in three]
+    yield "outside_f1", np.mean, [row["f1"] for row in outside]
+    yield "outside_said", np.mean, [row["verdict"] in unexplained for row in outside]
+    yield "outside_extra", np.mean, [row["extra"] for row in outside]
+    yield "description_right", np.mean, [row["extra"] == 0 for row in of("description")]
+    yield "description_extra", np.mean, [row["extra"] for row in of("description")]
+    yield "production_told", np.mean, [row["told"] for row in picks]
+    yield "production_first", np.mean, [row["hit"] for row in picks]
+    yield "scope_first", np.mean, [row["hit"] for row in scope]
+    yield "scope_explained", np.mean, [row["verdict"] == "explained" for row in scope]
+    yield "seconds_median", np.median, [row["seconds"] for row in good]
+    yield "cpu_seconds_median", np.median, [row["cpu_seconds"] for row in good]
 
 
 def confusion(rows: list[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:

@@ -46,7 +46,7 @@ def write_page(
     rows: list[dict[str, Any]], summary: dict[str, Any], refused: list[str], commitment: str, path: Path
 ) -> None:
     """Write the page."""
-    figures = [(label, _shown(summary[key]), bound) for key, (label, bound) in BOUNDS.items()]
+    figures = [(label, _shown(summary[key]), summary["counts"][key], bound) for key, (label, bound) in BOUNDS.items()]
     kinds = {row["kind"] for row in rows if "error" not in row}
     plots = {"Confusion matrix": _confusion(rows)} if kinds & {"catalogue", "unknown", "null"} else {}
     plots |= {"Detection by ratio of gap to noise floor": _detection(rows)} if "catalogue" in kinds else {}

@@ -61,7 +61,7 @@ def blindtest(cases: int, seed: int) -> Figures:
         found = said("blindtest", *arguments)
     summary, missed, note = found["summary"], found["missed"], f"seed {seed}"
     return {
-        key: (summary[key], cases, f"{note}; missed" if label in missed else note)
+        key: (summary[key], summary["counts"][key], f"{note}; missed" if label in missed else note)
         for key, (label, _) in BOUNDS.items() if summary[key] is not None
     }  # fmt: skip
 

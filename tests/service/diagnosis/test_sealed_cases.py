@@ -286,6 +286,8 @@ def test_the_table_counts_right() -> None:
     # floor: noise through the analysis band, 0.3 N m sqrt(2 * 40 Hz * 1 ms)
     assert figures["after_over_floor_median"] == pytest.approx(0.085 / (0.3 * 0.08**0.5), abs=1e-3)
     assert figures["seconds_median"] == 15.0
+    assert [figures["counts"][key] for key in ("right_first", "right_joint", "extra_per_case")] == [4, 3, 9]
+    assert (figures["counts"]["pair_both"], figures["counts"]["three_f1"]) == (2, 0)
 
     # a case of 250 Hz has another band, and each its own floor
     slow = sealed_cases.judged([row(0, [], "within_noise", 0.0, 0.0) | {"band_hz": 25.0, "period_s": 4e-3}], keys)
@@ -317,7 +319,7 @@ def test_what_is_findable_and_what_is_sure_have_their_bounds() -> None:
     figures = sealed_cases.summary(judged)
     assert (figures["findable_single"], figures["right_first"], figures["right_joint"]) == (1, 1.0, 1.0)
     assert (figures["unknown_said"], figures["production_told"]) == (1.0, 0.0)
-    assert (figures["sure_names"], figures["calibration"]) == (2, 0.5)
+    assert (figures["sure_names"], figures["calibration"], figures["counts"]["calibration"]) == (2, 0.5, 2)
     assert figures["claim_error_median"] == 0.15
     assert figures["claim_error_p90"] == pytest.approx(np.quantile([0.0, 0.1, 0.2, 0.4], 0.9), abs=1e-3)
     assert (figures["cpu_seconds_median"], figures["seconds_median"]) == (3.0, 12.0)

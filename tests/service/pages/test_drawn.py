@@ -136,11 +136,13 @@ def of_rollout(document: Any, page: str) -> None:
 
 def of_blind_test(figures: Any, page: str) -> None:
     page = page.replace("\u00a0", " ")
-    said, rows = headline_of(page), re.findall(r"<tr><td>([^<]*)</td><td>([^<]*)</td><td>([≥≤]) ([\d.]+)</td>", page)
+    told = r"<tr><td>([^<]*)</td><td>([^<]*)</td><td>(\d+)</td><td>([≥≤]) ([\d.]+)</td>"
+    said, rows = headline_of(page), re.findall(told, page)
     labels = {label: key for key, (label, _) in BOUNDS.items()}
+    assert all(int(count) == figures["counts"][labels[unescape(label)]] for label, _, count, _, _ in rows)
     held = [
         (float(value) >= float(bound)) == (sign == "≥") or float(value) == float(bound)
-        for label, value, sign, bound in rows
+        for label, value, _, sign, bound in rows
         if labels[unescape(label)] not in OF_SPEED and value != "no such case"
     ]
     assert said["number"].strip().startswith(f"{sum(held)} of {len(held)}")
