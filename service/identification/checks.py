@@ -34,7 +34,7 @@ from service.identification.regression import (
 # Share of the torque's rms that a fit leaves: a real Delta's friction, elasticity and payload mass errors stay below.
 SUSPECT = 0.1
 HOPELESS = 0.5
-FOREIGN_SHARE = 0.4  # of one log's torque, by the fit to the others: no effect of a robot that works
+FOREIGN_SHARE = 0.4  # of one log's torque, by the fit to the others: no other state of the same robot leaves as much
 # Another reading of the torque is believed when it leaves less than this share of what the given one leaves.
 BETTER = 0.5
 # A log is foreign when the fit to the others leaves this many times what it leaves of the middle one of the others.
@@ -225,8 +225,10 @@ def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -
             hint = hints.pop(name, "")
             if hint and _taken(logs[worst], fit.without[worst], fit.noise) > TAKEN:
                 raise DataError(f"{stands_out}; {hint}")
-            if held[worst] > FOREIGN_SHARE:
-                raise DataError(stands_out)
+            # Another robot's log is explained by a fit of its own; what a motion excites is not: no base model has it.
+            own = _share(fit.alone, fit.torque)[worst]
+            if held[worst] > FOREIGN_SHARE and held[worst] ** 2 - own**2 > FOREIGN_TOGETHER * held[worst] ** 2:
+                raise DataError(f"{stands_out}; a fit of its own leaves {part_of(own)} it: is it of another robot?")
             warnings.append(
                 f"{stands_out}; does this motion excite an unmodelled effect? `deltatwin diagnose` shows more"
             )

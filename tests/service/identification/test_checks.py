@@ -92,6 +92,21 @@ def test_one_foreign_log_of_twelve_is_named(geared: Robot, twelve: list[tuple[Tr
         with_one(geared, twelve, 4, np.roll(twelve[4][0].torque, 200, axis=0))  # 0.2 s late
 
 
+def test_a_log_of_another_robot_is_refused(robot: Robot, record: Record) -> None:
+    other = Truth(rho_1=0.2, rho_2=-0.9, coulomb=np.zeros(3))
+    with pytest.raises(DataError, match=r"^log_3\.csv: does not match .*is it of another robot\?$"):
+        run(robot, [record(seed, other if seed == 3 else None) for seed in range(4)])
+
+
+def test_what_only_one_motion_excites_is_no_other_robot(robot: Robot, record: Record) -> None:
+    """A gear that rings in one log is nothing that a base model could have: a warning, `diagnose` finds the rest."""
+    logs = [record(seed) for seed in range(4)]
+    ringing = np.sin(2 * np.pi * 11.0 * logs[3].time)[:, None] * np.sqrt(2.0)
+    logs[3] = replace(logs[3], torque=logs[3].torque + 0.5 * logs[3].torque.std(axis=0) * ringing)
+    warning, *_ = run(robot, logs).warnings
+    assert re.match(r"log_3\.csv: does not match .* 4\d % .*does this motion excite an unmodelled effect\?", warning)
+
+
 def test_all_logs_wrong_beyond_reading(robot: Robot, record: Record) -> None:
     rng = np.random.default_rng(0)
     logs = [replace(log, torque=20 * rng.standard_normal(log.torque.shape)) for log in (record(s) for s in range(3))]

@@ -24,23 +24,31 @@ def told(
     hint: str = "",
     count: int = 4,
     taken: float = 0.51,
+    own: float = 0.0,
 ) -> list[str]:
     """Warnings about logs of 10 N m a joint. held: share of log b's torque that the fit to the others leaves, on joint
     3 only. others: of theirs, by that fit. share: of b's by the fit to all. hint: of a load on log b. taken: what that
-    would explain."""
+    would explain. own: of b's by a fit of its own."""
     monkeypatch.setattr(checks, "_loads", lambda logs, fit, mass: {"b": hint} if hint else {})
     monkeypatch.setattr(checks, "_taken", lambda log, values, noise: taken if values == 1 else 9.0)
     monkeypatch.setattr(checks, "_sameness", lambda logs: ["alike"])
     torque, whole = np.full((count, 3), 10.0), 10.0 * 3**0.5
-    residual, held_out = np.full((count, 3), 0.1), np.full((count, 3), 0.1)
-    residual[1], held_out[1] = [0.0, 0.0, share * whole], [0.0, 0.0, held * whole]
+    residual, held_out, alone = (np.full((count, 3), 0.1) for _ in range(3))
+    for left_of, part in ((residual, share), (held_out, held), (alone, own)):
+        left_of[1] = [0.0, 0.0, part * whole]
 
     def left(values: np.ndarray) -> np.ndarray:
         assert values == 1, "the fit to the others of log b"
         return np.where(np.arange(count)[:, None] == 1, 99.0, others * 10.0) * np.ones(3)
 
     fit: Any = stub(
-        residual=residual, torque=torque, held_out=held_out, without=np.arange(count), left=left, noise=None
+        residual=residual,
+        torque=torque,
+        held_out=held_out,
+        alone=alone,
+        without=np.arange(count),
+        left=left,
+        noise=None,
     )
     logs: Any = [stub(name=name) for name in NAMES[:count]]
     return checks.check_fit(logs, fit, 2.0)
@@ -78,15 +86,18 @@ def test_a_log_that_others_explain_three_times_worse_than_each_other_is_named(
 
 
 def test_a_log_that_others_do_not_explain_or_that_no_fit_does_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DataError, match=r"^b: does not match .* 41 % .* most on joint 3$"):
-        told(monkeypatch, 0.41, 0.1)
+    another = r"^b: does not match .* 41 % .* most on joint 3; a fit of its own leaves 22 % of it: is it of another"
+    with pytest.raises(DataError, match=another):
+        told(monkeypatch, 0.41, 0.1, own=0.22)  # of the square less than .3
+    warning, alike = told(monkeypatch, 0.41, 0.1, own=0.23)
+    assert re.match("b: does not match .* 41 % .* does this motion excite an unmodelled effect", warning)
     with pytest.raises(DataError, match=r"^b: does not match .* 21 % .*; a load$"):
         told(monkeypatch, 0.21, 0.01, hint="a load")
     warning, alike = told(monkeypatch, 0.21, 0.01, hint="a load", taken=0.49)
     assert re.match("b: does not match .* 21 % .* does this motion excite an unmodelled effect", warning)
     assert "load" not in warning + alike
-    with pytest.raises(DataError, match=r"^b: does not match .* 41 % .* most on joint 3$"):
-        told(monkeypatch, 0.41, 0.1, hint="a load", taken=0.49)
+    with pytest.raises(DataError, match=another):
+        told(monkeypatch, 0.41, 0.1, hint="a load", taken=0.49, own=0.22)
     assert told(monkeypatch, 0.19, 0.01, hint="a load.") == ["b: a load. Identify on motion without payload", "alike"]
     assert told(monkeypatch, 0.1, 0.1, share=0.49) == ["alike"]
     with pytest.raises(DataError, match=r"^b: the model leaves 51 % of the torque unexplained; are the robot"):
