@@ -74,7 +74,7 @@ def signature(effect: Effect) -> Signature:
 
 
 def _columns(effect: Effect, scene: Scene) -> list[np.ndarray]:
-    middle = tuple(one.grid[len(one.grid) // 2] for one in effect.nonlinear.values())
+    middle = tuple(one.tried[len(one.tried) // 2] for one in effect.nonlinear.values())
     joints = (JOINT,) if effect.per_joint else ()
     amplitudes = SMALL * np.eye(len(effect.amplitudes)) if effect.amplitudes else np.zeros((1, 0))
     found = []

@@ -27,8 +27,8 @@ from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.evidence.values import Valued
 from service.diagnosis.findings import Findings
 from service.diagnosis.fit.candidates import Regressors
+from service.diagnosis.fit.completed import completed
 from service.diagnosis.fit.exchange import exchanged
-from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import WITHIN_NOISE, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.angle_unit import refuse_wrong_angles
@@ -172,7 +172,7 @@ def _searched(
     units = [gain_unit(robot, joint) for joint in range(len(problem.sigma))]
     scope = limits_of(problem, loops_of(problem, errors, plain.residuals), units)
     regressors = Regressors(problem, split, effects if scope.enough else (), start)
-    selection = search(regressors, progress, scope.allows, more_orders)
+    selection = search(regressors, progress, scope.allows, completed)
     return _Searched(problem, floor, split, plain, scope, regressors, selection)
 
 
@@ -184,7 +184,7 @@ def _past_fault(
     in for several effects at once. limit: rms that noise leaves at most."""
     if selection.fault is None:
         return selection
-    again = search(regressors, progress, allows, more_orders, selection)
+    again = search(regressors, progress, allows, completed, selection)
     return again if regressors.problem.over_noise(again.best.residuals) <= limit else selection
 
 

@@ -5,6 +5,8 @@ One structured array instead of many arguments: handing thirty arrays to a compi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
@@ -24,6 +26,7 @@ from service.model.nominal import MODEL, lengthened, pack, record_of
 
 # Per sample, when `identify` has not measured it.
 DEFAULT_TORQUE_NOISE = 0.5  # N m
+CRITICAL = 1.0  # damping ratio from which nothing rings
 
 SETTINGS = np.dtype(
     [
@@ -198,7 +201,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["encoded"], record["readout"] = named_effects.has_encoders(terms), reading
     figures = inside_of(terms).two_masses
     record["geared"] = bool(figures)
-    record["gears"] = gears_of(pack(robot), base_of(described).rigid, figures)
+    record["gears"] = gears_of(pack(robot), base_of(described).rigid, _without_ringing(figures))
     record["leads"] = leads(figures)
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
@@ -214,6 +217,15 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["scale_drift"] = robot.limits.torque_scale_drift
     record["left_out"] = bool(without)
     return record
+
+
+def _without_ringing(figures: Mapping[int, tuple[float, ...]]) -> dict[int, tuple[float, ...]]:
+    """Gears as of `gears_of` whose flanks are damped at least critically: how they ring goes by the instant of their
+    strike, which no sample tells, and by a payload that is not known yet."""
+    return {
+        joint: (half, natural_hz, max(damping_ratio, CRITICAL) if half > 0.0 else damping_ratio, motor_share)
+        for joint, (half, natural_hz, damping_ratio, motor_share) in figures.items()
+    }
 
 
 def fresh(record: np.ndarray) -> np.ndarray:

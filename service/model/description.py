@@ -72,7 +72,7 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
     blank = Term.blank(effect, joints, (0.0,) * len(effect.nonlinear))
     units = {parameter.name: parameter.unit for parameter in parameters_of(blank)}
     keys = list(units)
-    kept = {name: searched.grid[0] for name, searched in effect.nonlinear.items() if searched.fixed}
+    kept = {name: one.tried[0] for name, one in effect.nonlinear.items() if one.fixed or one.late}
     for key, parameter in entry_.parameters.items():
         if key not in units:
             raise RobotError(f"{at}: unknown parameter {key!r}{_meant(key, units)}")
@@ -85,7 +85,8 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
     given = {key: parameter.value for key, parameter in entry_.parameters.items()}
     numbers = np.array([(kept | given)[key] for key in keys])
     amplitude = numbers[: blank.amplitude.size].reshape(blank.amplitude.shape)
-    return replace(blank, amplitude=amplitude, nonlinear=tuple(float(v) for v in numbers[blank.amplitude.size :]))
+    nonlinear = tuple(float(v) for v in numbers[blank.amplitude.size :])
+    return replace(blank, amplitude=amplitude, nonlinear=nonlinear, found=True)
 
 
 def _meant(name: str, known: Iterable[str]) -> str:

@@ -14,12 +14,20 @@ from service.model.scene import Base, Recording, Scene
 
 @dataclass(frozen=True)
 class Term:
-    """One effect at work. joints from 0, empty unless the effect sits on joints. amplitude: (max(J, 1), k)."""
+    """One effect at work. joints from 0, empty unless the effect sits on joints. amplitude: (max(J, 1), k). found: more
+    than a candidate, so that all its quantities are fitted, late ones too."""
 
     effect: Effect
     joints: tuple[int, ...]
     amplitude: np.ndarray
     nonlinear: tuple[float, ...]
+    found: bool = False
+
+    @property
+    def searched(self) -> dict[str, bool]:
+        """Whether the fit moves each nonlinear parameter, by name."""
+        known = self.effect.nonlinear.items()
+        return {name: not one.fixed and (self.found or not one.late) for name, one in known}
 
     @property
     def places(self) -> tuple[int, ...]:

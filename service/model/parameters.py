@@ -171,7 +171,7 @@ def parameters_of(term: Term) -> list[Quantity]:
         suffix = f"_{joint + 1}" if joint is not None and len(term.joints) > 1 else ""
         result += [Quantity(name + suffix, a.unit, a.low, a.high) for name, a in effect.amplitudes.items()]
     return result + [
-        Quantity(name, s.unit, s.low, s.high, free=not s.fixed, rough=effect.rough)
+        Quantity(name, s.unit, s.low, s.high, free=term.searched[name], rough=effect.rough)
         for name, s in effect.nonlinear.items()
     ]
 

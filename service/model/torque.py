@@ -175,11 +175,11 @@ def _moved(term: Term) -> list[tuple[tuple[float, ...], float]]:
     """Nonlinear parameters with one of those that are searched a little larger, or smaller at its upper limit; by how
     much."""
     result = []
-    for index, limits in enumerate(term.effect.nonlinear.values()):
+    for index, (name, limits) in enumerate(term.effect.nonlinear.items()):
         value = term.nonlinear[index]
         size = min(1e-2 * max(abs(value), 1e-3 * (limits.high - limits.low)), limits.most_step)
         if value + size > limits.high:
             size = -size
-        if not limits.fixed:
+        if term.searched[name]:
             result.append((tuple(v + size if i == index else v for i, v in enumerate(term.nonlinear)), size))
     return result

@@ -293,8 +293,8 @@ def fit_added(problem: Problem, without: Fit, term: Term, noise: Correlated = WH
     if cost(best) > ROUGH_PROMISE * cost(without):
         return best
     best = fit(problem, best.hypothesis, noise=noise)
-    for index, searched in enumerate(term.effect.nonlinear.values()):
-        for factor in ROUGH_STEPS if not searched.fixed else ():
+    for index, searched in enumerate(term.searched.values()):
+        for factor in ROUGH_STEPS if searched else ():
             last = best.hypothesis.terms[-1]
             moved = tuple(v * factor if i == index else v for i, v in enumerate(last.nonlinear))
             terms = (*best.hypothesis.terms[:-1], replace(last, nonlinear=moved))

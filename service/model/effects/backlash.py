@@ -6,8 +6,10 @@ $$T = \begin{cases} k\,(\delta - b\,\operatorname{sign}\delta) + d\,\dot\delta &
 an impact.
 Implementation: two masses with a dead zone of $\pm b$ and a stiff, damped contact are integrated along the recorded
 motion of the motor; the rigid-body torque is corrected by the relative motion of the link.
-Limitations: only visible where the transmitted torque changes sign. A single impact is matched in its momentum, not in
-its chatter.
+While effects are searched, the contact is well damped, so that an impact is matched in its momentum; how it rings is
+fitted once backlash has been found. The estimator, which does not know the instant of an impact within a sample, damps
+the contact critically.
+Limitations: only visible where the transmitted torque changes sign.
 """
 
 from __future__ import annotations
@@ -24,9 +26,12 @@ HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 class Backlash(Transmission):
     half: Nonlinear = Nonlinear("rad", "half the lost motion, joint side", HALVES, 1e-4, 0.02)
     contact_hz: Nonlinear = Nonlinear(
-        "Hz", "natural frequency of the link on the closed flank", (120.0,), 20.0, 400.0, fixed=True
+        "Hz", "natural frequency of the link on the closed flank", (20.0, 35.0, 60.0, 120.0), 5.0, 400.0, minor=True,
+        late=True,
+    )  # fmt: skip
+    contact_damping: Nonlinear = Nonlinear(
+        "", "damping ratio of the closed flank", (0.1, 2.0), 0.02, 4.0, minor=True, late=True
     )
-    contact_damping: Nonlinear = Nonlinear("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
     motor_share: Nonlinear = Nonlinear(
         "", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9, minor=True
     )

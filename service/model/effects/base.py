@@ -102,7 +102,8 @@ class Amplitude:
 class Nonlinear:
     """A quantity that is searched: tried at `grid`, refined between `low` and `high`, kept if `fixed`.
 
-    minor: the torque hardly depends on it, so that a limit of its own says nothing about the effect.
+    minor: the torque hardly depends on it, so that a limit of its own says nothing about the effect. late: kept at the
+    last of `grid` while effects are searched, and fitted from all of it once the effect has been found.
     most_step: over which a slope by it can be taken.
     """
 
@@ -113,7 +114,13 @@ class Nonlinear:
     high: float
     fixed: bool = False
     minor: bool = False
+    late: bool = False
     most_step: float = math.inf
+
+    @property
+    def tried(self) -> tuple[float, ...]:
+        """Of the grid, what the search tries."""
+        return self.grid[-1:] if self.late else self.grid
 
 
 @dataclass(frozen=True)
@@ -227,7 +234,7 @@ class Effect(ABC):
 
     def grid(self, scene: Scene) -> list[tuple[float, ...]]:
         """Nonlinear parameters to try first."""
-        return list(itertools.product(*(searched.grid for searched in self.nonlinear.values())))
+        return list(itertools.product(*(searched.tried for searched in self.nonlinear.values())))
 
     def starts(self, nonlinear: tuple[float, ...]) -> list[tuple[float, ...]]:
         """Where the fit of the nonlinear parameters starts; more than one where its neighbourhood is rough."""

@@ -74,6 +74,20 @@ def test_no_stiffness_makes_a_gear_unstable_at_any_rate(robot, make, natural_hz,
     np.testing.assert_allclose(torque[still], rigid[still], atol=0.3)
 
 
+def test_flanks_that_ring_are_carried_without_ringing(robot, make):
+    """How they ring goes by the instant of a strike, which no sample tells: lightly damped ones answer as critical
+    ones, and those that are damped more as they are."""
+    samples = make(2.0).samples
+
+    def reports(damping):
+        loose = carrying(robot, "backlash", half=2e-3, contact_hz=45.0, contact_damping=damping, motor_share=0.2)
+        return Estimator(loose, PERIOD).run(samples).error["full"]
+
+    light, critical, damped = (reports(ratio) for ratio in (0.05, 1.0, 2.0))
+    np.testing.assert_array_equal(light, critical)
+    assert np.abs(damped - critical).max() > 0.1
+
+
 @pytest.mark.parametrize("lost", [np.nan, 1e300, 2.0])
 def test_a_twist_that_leads_nowhere_is_begun_anew(robot, make, lost):
     """NaN, beyond all numbers, out of the workspace: the next samples are answered, and nothing of it stays."""

@@ -126,8 +126,8 @@ STATED = {
         "per_joint rough directional",
         {
             "half": ("rad", 0.0001, 0.02),
-            "contact_hz": ("Hz", 20.0, 400.0, "fixed"),
-            "contact_damping": ("", 0.05, 4.0, "fixed"),
+            "contact_hz": ("Hz", 5.0, 400.0, "late"),
+            "contact_damping": ("", 0.02, 4.0, "late"),
             "motor_share": ("", 0.02, 0.9),
         },
         [],
@@ -188,8 +188,8 @@ SPANS = {
     ("joint_elasticity", "damping_ratio"): (0.07, 0.07),
     ("joint_elasticity", "motor_share"): (0.13, 0.35),
     ("backlash", "half"): (0.0003, 0.005),
-    ("backlash", "contact_hz"): (120.0, 120.0),
-    ("backlash", "contact_damping"): (2.0, 2.0),
+    ("backlash", "contact_hz"): (20.0, 120.0),
+    ("backlash", "contact_damping"): (0.1, 2.0),
     ("backlash", "motor_share"): (0.1, 0.55),
     ("torque_delay", "delay"): (-0.003, 0.006),
     ("torque_filter", "cutoff"): (1.0, 120.0),
@@ -216,7 +216,9 @@ def test_an_effect_is_what_is_stated(name):
     assert {flag for flag in FLAGS if getattr(effect, flag)} == set(flags.split())
     found: dict[str, tuple] = {key: (a.unit, a.low, a.high) for key, a in effect.amplitudes.items()}
     for key, searched in effect.nonlinear.items():
-        found[key] = (searched.unit, searched.low, searched.high, *(["fixed"] if searched.fixed else []))
+        found[key] = (
+            searched.unit, searched.low, searched.high, *(flag for flag in ("fixed", "late") if getattr(searched, flag))
+        )  # fmt: skip
     assert found == {key: tuple(value) for key, value in quantities.items()}
     assert list(found) == list(quantities), "the order of the documents"
     assert sorted(effect.same) == same

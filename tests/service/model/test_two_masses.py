@@ -65,13 +65,14 @@ def test_too_much_to_follow_is_no_torque_at_all():
 
 
 @pytest.mark.parametrize(
-    ("name", "effect", "joint", "left_over"),
+    ("name", "effect", "joint", "rings", "left_over"),
     [
-        ("joint_elasticity", two_mass_effects.JointElasticity([0.0, 2000.0, 0.0], 0.1), 1, 0.05),
-        ("backlash", two_mass_effects.Backlash([0.002, 0.0, 0.0]), 0, 0.35),  # impacts, but not their chatter
+        ("joint_elasticity", two_mass_effects.JointElasticity([0.0, 2000.0, 0.0], 0.1), 1, True, 0.05),
+        ("backlash", two_mass_effects.Backlash([0.002, 0.0, 0.0]), 0, False, 0.35),  # impacts, but not their chatter
+        ("backlash", two_mass_effects.Backlash([0.002, 0.0, 0.0]), 0, True, 0.12),
     ],
 )
-def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
+def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, rings, left_over):
     """Rotor and link as two bodies in closed loop; the other joints feel what the link does."""
     viscous = 2.0
     truth = TRUTH.model_copy(update={"viscous_friction_nms": [viscous] * 3, "peak_torque_nm": 250.0})
@@ -86,11 +87,12 @@ def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
     share = TRUTH.rotor_inertia_kgm2[joint] / whole
     link = (1 - share) * whole
     if name == "joint_elasticity":
-        spring = effect.stiffness_nmprad[joint]
-        damper = 2 * effect.damping_ratio * math.sqrt(spring * TRUTH.rotor_inertia_kgm2[joint])
-        shape = (math.sqrt(spring / link) / (2 * math.pi), damper / (2 * math.sqrt(spring * link)), share)
+        spring, ratio, gap = effect.stiffness_nmprad[joint], effect.damping_ratio, ()
     else:
-        shape = (0.002, 120.0, 2.0, share)
+        spring, ratio, gap = two_mass_effects.TOOTH_STIFFNESS, two_mass_effects.TOOTH_DAMPING_RATIO, (0.002,)
+    damper = 2 * ratio * math.sqrt(spring * TRUTH.rotor_inertia_kgm2[joint])
+    swing = (math.sqrt(spring / link) / (2 * math.pi), damper / (2 * math.sqrt(spring * link)))
+    shape = (*gap, *(swing if rings else (120.0, 2.0)), share)
     term = Term(EFFECTS[name], (joint,), np.zeros((1, 0)), shape)
     inside = slice(60, -60)
     left = [band(here.segment.torque - predict(here, Hypothesis(base, terms)))[inside] for terms in ((), (term,))]
