@@ -15,19 +15,22 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, field_validator
 
-from docs.making.markdown import cell, table
+from docs.making.markdown import cell, code, table
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
 MACRO = re.compile(r"\{\{ figure\(\"([\w.]+)\"\) \}\}")
+BOUND = re.compile(r"0|[≤≥] \S.*|\S+ to \S.*")
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?: \d{3}(?!\d))*(?:\.\d+)?(?:e-?\d+)?")
 
 
 class Figure(BaseModel):
     """One measured figure. commit, date: of the code that was measured, or of the report where that is not known.
 
-    bound: that it is held to. count: of what it was measured on. interval: its spread, or what belongs to it.
+    bound: that it is held to, `≤ 4`, `≥ 95 %`, `0.7 to 1.2`, `0`, or `≤ name` of a number in `interval`, `name 2.3`.
+    count: of what it was measured on. interval: its spread, or what belongs to it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -42,6 +45,27 @@ class Figure(BaseModel):
     machine: str
     commit: str
     date: str
+
+    @field_validator("bound")
+    @classmethod
+    def _has_a_direction(cls, bound: str | None) -> str | None:
+        if bound is not None and not BOUND.fullmatch(bound):
+            raise ValueError(f"bound {bound!r} has no direction: write '≤ {bound}' or '≥ {bound}'")
+        return bound
+
+    @property
+    def missed(self) -> bool:
+        """Whether the value, or one end of it, is outside its bound; of `29 of 30` the first number counts."""
+        if self.bound is None:
+            return False
+        values = _numbers(str(self.value).partition(" of ")[0])
+        if self.bound.startswith(("≤", "≥")):
+            most = self.bound.startswith("≤")
+            name = self.bound[1:].strip()
+            limit = (_numbers(name) or _numbers((self.interval or "").partition(f"{name} ")[2]))[0]
+            return any(value > limit if most else value < limit for value in values)
+        least, *_, most = _numbers(self.bound) * 2
+        return any(not least <= value <= most for value in values)
 
     @property
     def text(self) -> str:
@@ -60,6 +84,10 @@ class Bench(BaseModel):
     about: str
     run: list[str]
     figures: list[Figure]
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(found.replace(" ", "")) for found in NUMBER.findall(text)]
 
 
 @cache
@@ -120,7 +148,7 @@ def page(name: str) -> str:
     """All figures of a bench."""
     bench = benches()[name]
     rows = [
-        [cell(one.figure), cell(one.text), cell(one.bound or ""), cell(one.count or ""), cell(one.interval or "")]
+        [cell(one.figure), cell(one.text), _bound(one), cell(one.count or ""), cell(one.interval or "")]
         for one in bench.figures
     ]
     origins = sorted({(one.date, one.commit, one.machine) for one in bench.figures})
@@ -129,17 +157,25 @@ def page(name: str) -> str:
     )
     text += "\nTo measure it again:\n\n```console\n" + "\n".join(f"$ {command}" for command in bench.run) + "\n```\n"
     text += f"\nSource: `results/{name}.json`.\n\n"
-    return text + table(["Date", "Commit", "Machine"], ([date, f"`{commit}`", cell(m)] for date, commit, m in origins))
+    return text + table(["Date", "Commit", "Machine"], ([date, code(commit), cell(m)] for date, commit, m in origins))
+
+
+def _bound(one: Figure) -> str:
+    return cell(one.bound or "") + (", **missed**" if one.missed else "")
 
 
 def index() -> str:
     """All benches."""
     text = (
-        "# Measured\n\nAll measured values, with counts, bounds and the commit. Unless stated otherwise, they are "
-        "from simulated robots: we know of no public log of a real Delta with torque. The machine is shared, so rates "
-        "are given as ratios to a reference in the same run.\n\n"
+        "# Measured\n\nAll measured values, with counts, bounds and the commit; a few of the commits are no longer in "
+        "the history. Unless stated otherwise, they are from simulated robots: we know of no public log of a real "
+        "Delta with torque. The machine is shared, so rates are given as ratios to a reference in the same run. A "
+        "bound that is missed is marked.\n\n"
     )
     return text + table(
         ["Page", "Content"],
-        ([f"[{bench.title}]({name}.md)", cell(bench.about.split("\n\n")[0])] for name, bench in benches().items()),
+        (
+            [f"[{bench.title}]({name}.md)", bench.about.split("\n\n")[0].replace("|", r"\|")]
+            for name, bench in benches().items()
+        ),
     )

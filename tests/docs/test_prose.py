@@ -94,6 +94,56 @@ def test_every_bench_has_its_table() -> None:
         assert f"({name}.md)" in figures.index()
 
 
+def measured(value: float | str, bound: str | None, interval: str | None = None) -> figures.Figure:
+    return figures.Figure(
+        key="a", figure="a", value=value, unit="", bound=bound, count=None, interval=interval, machine="", commit="",
+        date="",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "interval", "missed"),
+    [
+        (4.2, "≤ 4", None, True),
+        (4, "≤ 4", None, False),
+        (0.94, "≥ 0.95", None, True),
+        (195.0, "≥ 50", None, False),
+        (65_537, "≤ 65 536", None, True),
+        (2e-9, "≤ 1e-9", None, True),
+        (1.41, "0.7 to 1.2", None, True),
+        (0.62, "0.7 to 1.2", None, True),
+        (0.9, "0.7 to 1.2", None, False),
+        (1, "0", None, True),
+        (0, "0", None, False),
+        ("26 of 30", "≥ 27", None, True),
+        ("29 of 30", "≥ 27", None, False),
+        ("94.5 to 100 %", "≥ 95 %", None, True),
+        (0.05, "≤ least squares", "least squares 0.0485, torque 0.237", True),
+        (1.77, "≤ least squares", "least squares 2.31, torque 26.9", False),
+        (3.0, None, None, False),
+    ],
+)
+def test_missed_bound(value: float | str, bound: str | None, interval: str | None, missed: bool) -> None:
+    assert measured(value, bound, interval).missed == missed
+
+
+@pytest.mark.parametrize("bound", ["12", "1", "at least 0.95", "within 5 %", "95 %"])
+def test_a_bound_says_its_direction(bound: str) -> None:
+    with pytest.raises(ValueError, match="has no direction"):
+        measured(1.0, bound)
+
+
+def test_a_page_marks_what_is_missed_and_quotes_no_empty_commit(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = figures.Bench(
+        bench="b", title="B", about="see [C](c.md)", run=[], figures=[measured(5, "≤ 4"), measured(3, "≤ 4")]
+    )
+    monkeypatch.setattr(figures, "benches", lambda: {"b": bench})
+    page = figures.page("b")
+    assert page.count("| ≤ 4, **missed** |") == page.count("| ≤ 4 |") == 1
+    assert "``" not in page.replace("```", "")
+    assert "| see [C](c.md) |" in figures.index()
+
+
 def test_bounds_of_the_blind_test_are_those_of_the_tool() -> None:
     assert {one.key: (one.figure, one.bound) for one in figures.benches()["blindtest"].figures} == BOUNDS
 
