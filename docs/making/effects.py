@@ -173,15 +173,14 @@ def picture(effect: Effect) -> str:
 def page(effect: Effect) -> str:
     """What it is, its torque, its quantities, aliases, and what to check on the machine."""
     parts = _parts(inspect.getmodule(type(effect)).__doc__ or "")
-    text = [f"# {effect.name}\n", f"**{effect.in_words}.**\n", parts.get("", "") + "\n"]
+    text = [f"# {effect.name}\n", f"**{effect.in_words}.**\n"]
     text.append(f"![Torque of {effect.name} over time, speed and angle]({effect.name}.svg)\n")
     text.append(
         "*Torque that the effect adds on one joint of the robot d3-1200, computed by the model, as a share of its "
         "peak.*\n"
     )
-    for title, key in (("Physics and equation", "Physics"), ("In the model", "Implementation")):
-        if key in parts:
-            text.append(f"## {title}\n\n{parts[key]}\n")
+    for title, said in (("Physics and equation", _physics(effect, parts)), ("In the model", parts["Implementation"])):
+        text.append(f"## {title}\n\n{said}\n")
     text.append("## Check on the machine\n\n" + (effect.means or "No advice is stored for this effect.") + "\n")
     text.append(f"The motion that shows it best: {effect.settles}.\n")
     text.append("## Parameters\n\n" + _quantities(effect))
@@ -189,6 +188,14 @@ def page(effect: Effect) -> str:
     where = ", ".join(HEADINGS[kind] for kind in sorted(effect.kinds, key=list(HEADINGS).index))
     text.append("\n## Where it applies\n\n" + f"Machines: {where}. " + _place(effect) + "\n")
     return "\n".join(text)
+
+
+def _physics(effect: Effect, parts: dict[str, str]) -> str:
+    """Its summary, unless that only repeats the title, and its physics; an equation completes the summary."""
+    summary, physics = parts[""].strip(), parts["Physics"]
+    if summary.lower() == f"{effect.in_words}.".lower():
+        return physics
+    return (f"{summary[:-1]}: " if physics.startswith("<span>") else f"{summary} ") + physics
 
 
 def _parts(docstring: str) -> dict[str, str]:
@@ -242,7 +249,8 @@ def _confused(effect: Effect) -> str:
 def _place(effect: Effect) -> str:
     said = []
     if effect.per_joint:
-        said.append("It acts on single joints" + ("." if effect.own_joint else ", and it also acts on other joints."))
+        elsewhere = "Each joint has its own value; its torque appears in other joints, too."
+        said.append("It acts on single joints." if effect.own_joint else elsewhere)
     else:
         said.append("It acts on the robot as a whole.")
     if effect.measured:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.options import AsJson
 from service.cli.output import as_json, console, say_next, table
+
+if TYPE_CHECKING:
+    from service.checkup import Check
 
 SIGNS = {True: "[green]yes[/green]", False: "[yellow]no[/yellow]", None: "?"}
 
@@ -54,13 +58,18 @@ def command(
     missing = [check for check in checks if check.remedy]
     for check in missing:
         screen.print(f"{check.name}: {check.remedy}", highlight=False, markup=False)
-    live = all(check.has is not False for check in checks if check.name in ("real-time priority", "memory lock"))
-    screen.print(
-        "Offline commands run here."
-        + (" Live roles run in real time." if live else " Live roles run, but their timing is best effort."),
-        highlight=False,
-    )
+    screen.print(f"Offline commands run here. {_live(checks)}", highlight=False)
     if bundle is None:
         say_next("demo")
     else:
         print(f"wrote {bundle}\nnext: read {bundle}, then attach it to your bug report.")
+
+
+def _live(checks: Sequence[Check]) -> str:
+    """How live roles run."""
+    refused = {check.name for check in checks if check.has is False}
+    if refused & {"real-time priority", "memory lock"}:
+        return "Live roles run, but their timing is best effort."
+    if "real-time kernel" in refused:
+        return "Live roles run with real-time priority, but this kernel does not bound their latency under other load."
+    return "Live roles run in real time."

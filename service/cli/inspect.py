@@ -118,7 +118,7 @@ def _conclude(
     elif robot and following.of_use:
         read = ("--robot", robot, *read_by(columns))
         if refused := following.refusal():
-            conclude(f"{said} Not enough to identify the robot: {refused}.", "evaluate", *following.of_use, *read)
+            conclude(f"{said} {_too_little(refused, len(following.of_use))}", "evaluate", *following.of_use, *read)
         else:
             conclude(said, "identify", *following.of_use, *read, "--out", apart_from("identified.toml", robot))
     elif robot and following.captures:
@@ -129,6 +129,11 @@ def _conclude(
         conclude(said, "init", "--help")
     else:
         print(said)  # no command makes anything of these, or the error names it
+
+
+def _too_little(refused: str, logs: int) -> str:
+    more = " Several logs of one robot can be given together: their motion adds up." if logs == 1 else ""
+    return f"Not enough to identify the robot: {refused}.{more}"
 
 
 def _show(figures: dict[str, Any]) -> None:

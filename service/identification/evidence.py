@@ -23,7 +23,7 @@ from schemas.errors import DataError, TraceError
 from schemas.messages import SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Trace
-from schemas.words import counted
+from schemas.words import counted, significant
 from service.identification.checks import SUSPECT, TorqueReading, best_reading, held_out_share
 from service.identification.fit import within
 from service.identification.folds import BLOCK, FOLDS
@@ -86,7 +86,7 @@ def log_odds(better: Left, worse: Left) -> float:
 def said(log_ratio: float) -> str:
     """How many times likelier, in words."""
     ratio = math.exp(min(abs(log_ratio), 700.0))
-    return f"over {MOST_SAID:,.0f}".replace(",", " ") if ratio > MOST_SAID else f"{ratio:.2g}"
+    return f"over {MOST_SAID:,.0f}".replace(",", " ") if ratio > MOST_SAID else significant(ratio, 2)
 
 
 def possible(values: np.ndarray) -> np.ndarray:

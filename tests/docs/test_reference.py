@@ -103,6 +103,17 @@ def test_a_page_of_an_effect_has_equations_and_no_names_of_the_code(effect: Effe
     assert "$" not in effects.page(effect)
 
 
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_a_page_of_an_effect_opens_with_one_sentence_and_says_where_it_acts(effect: Effect) -> None:
+    page = effects.page(effect)
+    opening = page.partition("\n![")[0].partition("\n")[2]
+    assert opening.split("\n") == ["", f"**{effect.in_words}.**", ""]
+    assert page.count(f"{effect.in_words}.") == 1
+    reaches_others = effect.per_joint and not effect.own_joint
+    assert ("Each joint has its own value; its torque appears in other joints, too." in page) == reaches_others
+    assert ("It acts on single joints." in page) == (effect.per_joint and effect.own_joint)
+
+
 def test_equations_are_part_of_their_sentence() -> None:
     markdown = pytest.importorskip("markdown", reason="needs the dependency group docs: uv sync --group docs")
     page = prose("a $x_1$ of\n$b < *c*$ and $$y = x^2$$ `_code_` $1/2$")

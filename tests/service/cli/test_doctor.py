@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from service.checkup import bundle, examine
+from service.checkup import Check, bundle, examine
+from service.cli.doctor import _live
 
 PROGRAM = Path(sys.executable).with_name("deltatwin")
 
@@ -53,6 +54,19 @@ def test_what_is_missing_comes_with_what_for_and_how(tmp_path: Path) -> None:
     checks = examine()
     assert len({check.name for check in checks}) == len(checks)
     assert all((check.needed and bool(check.remedy) is (not check.has)) or check.has is None for check in checks)
+
+
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        ("", "Live roles run in real time."),
+        ("real-time kernel", "Live roles run with real-time priority, but this kernel does not bound their latency"),
+        ("memory lock", "Live roles run, but their timing is best effort."),
+    ],
+)
+def test_real_time_is_claimed_only_with_kernel_and_rights(missing: str, said: str) -> None:
+    names = ("real-time kernel", "real-time priority", "memory lock")
+    assert _live([Check(name, name != missing, "", "") for name in names]).startswith(said)
 
 
 def test_the_bundle_names_neither_host_nor_user_and_holds_no_secret(tmp_path: Path) -> None:

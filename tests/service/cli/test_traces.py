@@ -381,4 +381,5 @@ def test_inspect_ends_with_what_can_be_done_with_what_it_read(deltatwin: Run, tm
     read = deltatwin("inspect", "foreign.csv", log.name, "--robot", "d3-1200")
     assert read.returncode == 1
     assert "too little motion" in read.stdout
+    assert "their motion adds up" in read.stdout
     assert "next: deltatwin evaluate log.csv --robot d3-1200\n" in read.stdout

@@ -461,7 +461,7 @@ def test_a_drive_that_is_described_says_its_counts_and_its_rated_torque(robot: R
 def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared: Robot, log: Trace) -> None:
     found = propose(written(log), geared, Stated())
     (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint"))
-    assert float(re.findall(r"\(([0-9.e+]+) times likelier\)", line)[0]) > 1000
+    assert float(re.findall(r"\(([0-9.]+) times likelier\)", line)[0]) > 1000
     assert float(re.findall(r"([0-9.e+-]+) % of the torque remains unexplained on held-out rows", line)[0]) < 5.0
     assert any(one.startswith("torques are assumed to be N m: the file does not say") for one in found.reasons)
 
