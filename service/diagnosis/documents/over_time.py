@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -14,40 +16,39 @@ from service.pages.palette import Colour
 MOST_NAMES = 12  # on the time axis
 MOST_LETTERS = 24  # of each
 WORST_S = 1.0  # that are shown first
-ROW_HEIGHT = 190  # px, of a joint
+ROW_HEIGHT, GAP_HEIGHT = 190, 100  # px, of a joint, and of its gap below it
+BETWEEN = 20  # px between rows
 
 
 def worst_second(findings: Findings) -> tuple[str, go.Figure] | None:
-    """Title and plot: measured torque and both models on held-out data, in the log whose second has the largest gap
-    over the noise, zoomed to that second. None without a row."""
+    """Title and plot: measured torque and both models on held-out data, and below each joint its gap, in the log whose
+    second has the largest gap over the noise, zoomed to that second. None without a row."""
     place = _worst(findings)
     if place is None:
         return None
     index, begin = place
     problem, n, unit = findings.problem, len(findings.problem.sigma), in_units_of(findings.robot, "N m")
-    recording, rows = problem.recordings[index], problem.rows[index]
+    recording = problem.recordings[index]
     clock = recording.segment.time[:: problem.band.step]
     near = (clock >= begin) & (clock < begin + WORST_S)
-    figure = make_subplots(rows=n, cols=1, shared_xaxes=True, vertical_spacing=0.04)
-    joints, limits = problem.joints_of_rows[index], []
+    height = (ROW_HEIGHT + GAP_HEIGHT) * n + 120
+    figure = make_subplots(
+        rows=2 * n, cols=1, shared_xaxes=True, vertical_spacing=BETWEEN / height,
+        row_heights=[ROW_HEIGHT, GAP_HEIGHT] * n,
+    )  # fmt: skip
+    limits = []
     for joint in range(n):
-        mine, measured = rows[:, joint], problem.target[index][:, joint]
-        lines = {"measured": np.where(mine, measured, np.nan)}
-        for name, residuals in (("before", findings.before), ("after", findings.after)):
-            predicted = np.full(len(clock), np.nan)
-            predicted[mine] = measured[mine] - residuals[index][joints == joint] * problem.sigma[joint]
-            lines[name] = predicted
-        for name, torque in lines.items():
-            figure.add_scatter(
-                x=clock, y=torque, name=name, legendgroup=name, showlegend=joint == 0,
-                line={"width": 1.4, "color": Colour[name.upper()]}, row=joint + 1, col=1,
-            )  # fmt: skip
-        figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
-        shown = np.concatenate([values[near] for values in lines.values()])
-        limits.append(_around(shown))
+        torque, gap = _lines(findings, index, joint)
+        for row, (lines, title) in enumerate(((torque, f"joint {joint + 1}"), (gap, "gap")), 2 * joint + 1):
+            for name, values in lines.items():
+                figure.add_scatter(
+                    x=clock, y=values, name=name, legendgroup=name, showlegend=row == 1,
+                    line={"width": 1.4, "color": Colour[name.upper()]}, row=row, col=1,
+                )  # fmt: skip
+            figure.update_yaxes(title_text=f"{title}, {unit}", row=row, col=1)
+            limits.append(_around(np.concatenate([values[near] for values in lines.values()])))
     whole, ends = [clock[0], clock[-1]], [begin, begin + WORST_S]
-    zoomed, all_of_it = _axes(n, ends, limits), _axes(n, whole, None)
-    height = ROW_HEIGHT * n + 120
+    zoomed, all_of_it = _axes(ends, limits), _axes(whole, [None] * len(limits))
     buttons = [
         {"label": label, "method": "relayout", "args": [ranges]}
         for label, ranges in (("worst second", zoomed), ("whole log", all_of_it))
@@ -60,16 +61,28 @@ def worst_second(findings: Findings) -> tuple[str, go.Figure] | None:
         }],
     )  # fmt: skip
     figure.update_layout({key: value for key, value in zoomed.items() if not key.endswith("autorange")})
-    figure.update_xaxes(title_text=f"time in {recording.name}, s", row=n, col=1)
+    figure.update_xaxes(title_text=f"time in {recording.name}, s", row=2 * n, col=1)
     title = f"Measured and predicted torque: the second with the largest gap, {recording.name} from {begin:.2f} s"
     return title, figure
 
 
-def _axes(n: int, x: list[float], y: list[list[float]] | None) -> dict[str, object]:
-    """Ranges of `n` rows as Plotly sets them."""
-    numbers = ["", *map(str, range(2, n + 1))]
-    ranges: dict[str, object] = {f"xaxis{number}.range": [float(one) for one in x] for number in numbers}
-    for number, limits in zip(numbers, y or [None] * n, strict=True):
+def _lines(findings: Findings, index: int, joint: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Torque of a joint in a recording, and measured minus predicted, by name; NaN where it is not compared."""
+    problem = findings.problem
+    mine, measured = problem.rows[index][:, joint], problem.target[index][:, joint]
+    gap = {}
+    for name, residuals in (("before", findings.before), ("after", findings.after)):
+        gap[name] = np.full(len(measured), np.nan)
+        gap[name][mine] = residuals[index][problem.joints_of_rows[index] == joint] * problem.sigma[joint]
+    torque = {name: measured - values for name, values in gap.items()}
+    return {"measured": np.where(mine, measured, np.nan), **torque}, gap
+
+
+def _axes(x: list[float], y: Sequence[list[float] | None]) -> dict[str, object]:
+    """Ranges of rows as Plotly sets them."""
+    ranges: dict[str, object] = {}
+    for number, limits in zip(["", *range(2, len(y) + 1)], y, strict=True):
+        ranges[f"xaxis{number}.range"] = [float(one) for one in x]
         ranges |= {f"yaxis{number}.range": limits} if limits else {f"yaxis{number}.autorange": True}
     return ranges
 

@@ -15,7 +15,7 @@ from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
 from service.diagnosis.documents.headline import Given, headline
 from service.diagnosis.documents.over_time import _short, worst_second
-from service.diagnosis.documents.report import write_report
+from service.diagnosis.documents.report import write_diagnosis, write_report
 from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs
 from service.model.effects import CATALOGUE
 from tests.service.diagnosis.said import sentences
@@ -133,6 +133,11 @@ def test_the_first_plot_is_the_second_with_the_largest_gap(findings):
     expected = findings.after[index][problem.joints_of_rows[index] == 0] * problem.sigma[0]
     np.testing.assert_allclose(gap[mine], expected, atol=2e-4)
     assert np.isnan(gap[~mine]).all()
+    shown = {trace.name: np.asarray(trace.y, float) for trace in figure.data[3:5]}
+    np.testing.assert_allclose(shown["after"][mine], expected, atol=1e-12)
+    np.testing.assert_allclose(shown["before"], lines["measured"] - lines["before"], atol=1e-12)
+    zoomed = np.asarray(figure.layout.yaxis2.range)
+    assert np.ptp(zoomed) < 0.5 * np.ptp(np.asarray(figure.layout.yaxis.range)), "the gap has a scale of its own"
 
 
 def test_the_next_step_finds_the_correction_and_reads_logs_as_these_were_read(findings, tmp_path: Path):
@@ -149,6 +154,20 @@ def test_the_next_step_finds_the_correction_and_reads_logs_as_these_were_read(fi
     none = headline(found)
     assert none.following == "deltatwin evaluate LOG --robot corrected.toml"
     assert none.own.startswith("LOG: ")
+
+
+def test_the_page_says_of_which_runs_a_gap_is_and_one_share_of_it(findings, tmp_path: Path):
+    found = document.document(findings)
+    for slow, said in (([], "<b>Gap:</b>"), (["sweep"], "<b>Gap over all runs:</b>")):
+        levels = {"slow_runs": slow, "work_before_nm": found.gap.before_nm, "work_after_nm": found.gap.after_nm}
+        gap = found.gap.model_copy(update=levels | {"shrink_of_explainable": 0.99})
+        write_diagnosis(found.model_copy(update={"gap": gap}), None, {}, tmp_path / "report.html")
+        page = (tmp_path / "report.html").read_text("utf-8")
+        assert said in page
+        assert ("<th>rms on held-out data, N m; all runs</th>" in page) == bool(slow)
+        assert "<th>friction reversals, N m</th>" in page
+        assert "Friction reversals: " in page
+        assert "99 % of the energy" not in page, "of the gap above the noise another share is told above"
 
 
 def test_a_fixed_value_has_no_interval():
