@@ -18,7 +18,7 @@ from schemas.axes_description import Description
 from schemas.columns import Columns
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
-from schemas.words import counted
+from schemas.words import counted, significant
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -48,7 +48,7 @@ class Trace(recorded.Trace):
         >>> time = np.arange(1000) * 1e-3
         >>> log = dt.Trace.from_arrays(time, 0.3 * np.sin(6 * time), np.cos(6 * time), name="bench")
         >>> log
-        <Trace bench: 1000 samples of 1 joint, 1 kHz, 0.999 s>
+        <Trace bench: 1000 samples of 1 joint, 1000 Hz, 0.999 s>
     """
 
     @classmethod
@@ -158,11 +158,11 @@ class Trace(recorded.Trace):
 
     def __repr__(self) -> str:
         joints = self.position.shape[1]
-        rate = 1e-3 / self.period if len(self) > 1 else np.nan
+        rate = f"{significant(1 / self.period, 4)} Hz, " if len(self) > 1 else ""
         wrong = f", {counted(int(np.count_nonzero(self.flags)), 'row')} flagged" if self.flags.any() else ""
         return (
             f"<Trace {self.name}: {counted(len(self), 'sample')} of {counted(joints, 'joint')}, "
-            f"{rate:.3g} kHz, {np.ptp(self.time):.4g} s{wrong}>"
+            f"{rate}{np.ptp(self.time):.4g} s{wrong}>"
         )
 
     def _repr_html_(self) -> str:

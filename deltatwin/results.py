@@ -219,11 +219,14 @@ class PayloadResult(Result):
         return of_payload(self.levels)
 
     def to_frame(self) -> pl.DataFrame:
-        """One row per sample: time_s, mass_kg, std_dev_kg, trusted, event. `.levels` has the picks."""
+        """One row per sample: time_s, mass_kg, std_dev_kg, trusted, event; mass and error are NaN until the first
+        estimate. `.levels` has the picks."""
         from drivers.data_frames import pl
 
         found = self.history
-        columns = {"time_s": found.time, "mass_kg": found.mass, "std_dev_kg": found.std_dev}
+        estimated = found.std_dev > 0.0
+        mass, error = (np.where(estimated, values, np.nan) for values in (found.mass, found.std_dev))
+        columns = {"time_s": found.time, "mass_kg": mass, "std_dev_kg": error}
         return pl.DataFrame(columns | {"trusted": found.trusted, "event": found.event})
 
     def plot(self) -> go.Figure:

@@ -250,7 +250,8 @@ def headline(found: PaperResult) -> Headline:
         "good" if nearer else "bad",
         said if nearer else said.replace("Every step", "Not every step"),
         percent(1 - last / first),
-        f"smaller standard deviation of the error over υ_F, {significant(first)} → {significant(last)} N m "
+        "smaller standard deviation of the torque error on the stress motion υ_F, near the bounds of the workspace, "
+        f"{significant(first)} → {significant(last)} N m "
         f"(M_KH → {FRICTION})",
         "simulate the same robot live, with and without feed-forward:",
         command=("closed-loop", "--robot", "d3-1200"),

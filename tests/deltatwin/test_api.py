@@ -100,6 +100,13 @@ def test_payload_is_the_command(results: dict) -> None:
     assert [one.mass for one in results["payload"].levels] == [one["mass"] for one in levels]
     frame = results["payload"].to_frame()
     assert frame.filter(pl.col("event") == 1).height == sum(one["event"] == "pick" for one in levels)
+    error, unknown = frame["std_dev_kg"].to_numpy(), np.isnan(frame["mass_kg"].to_numpy())
+    until = int(unknown.sum())
+    assert 0 < until < 0.01 * len(error)
+    assert unknown[:until].all(), "until the first estimate"
+    np.testing.assert_array_equal(np.isnan(error), unknown)
+    assert (error[~unknown] > 0.0).all()
+    assert not frame["trusted"][:until].any()
 
 
 def test_rollout_is_the_command(results: dict) -> None:
@@ -107,6 +114,12 @@ def test_rollout_is_the_command(results: dict) -> None:
     assert [one["platform_mm"] for one in document["robots"]] == results["rollout"].to_frame()["platform_mm"][
         :-1
     ].to_list()
+
+
+@pytest.mark.parametrize(("period", "said"), [(0.002, "500 Hz"), (1.0, "1 Hz"), (1 / 60, "60 Hz"), (1e-4, "10000 Hz")])
+def test_a_trace_says_its_rate_in_hertz(period: float, said: str) -> None:
+    time = period * np.arange(100)
+    assert f", {said}, " in repr(dt.Trace.from_arrays(time, np.sin(time), np.cos(time)))
 
 
 class Checked(HTMLParser):
@@ -128,6 +141,7 @@ class Checked(HTMLParser):
 def test_results_are_short_in_a_notebook_and_have_a_frame_and_a_plot(results: dict, demo: tuple) -> None:
     robot, log = demo
     assert repr(robot) == "<Robot 'demo': identified>"
+    assert ", 1000 Hz, " in repr(log)
     for shown in (*results.values(), log):
         assert len(repr(shown)) < LONGEST_REPR
         Checked(shown._repr_html_())

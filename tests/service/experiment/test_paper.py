@@ -147,6 +147,7 @@ def test_samples_at_rest_change_nothing_where_they_are_left_out(found: PaperResu
 
 def test_report_holds_tables_and_figures_in_the_papers_order(found: PaperResult, tmp_path: Path) -> None:
     report = page(found, "truth of this test")
+    assert "stress motion υ_F, near the bounds" in report.headline.of
     titles = [part.title for part in report.parts]
     beyond = titles.index("Beyond the paper")
     assert isinstance(report.parts[beyond], Section)
