@@ -68,7 +68,7 @@ def command(
             while player.running:
                 crew.check()
                 time.sleep(0.1)
-                display.update(live.table("replaying"))
+                display.update(live.picture("replaying"))
         time.sleep(0.5)  # the last answers
     crew.check()
     recorded = read_recording(recording)

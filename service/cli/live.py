@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import numpy as np
+    from rich.console import Group
 
     from drivers.bus import Bus
     from schemas.axes_description import Description
 
 MOST_EVENTS = 4  # listed
-WIDTH = 3  # columns at least: the payload takes as many
 ERRORS = {"M_KH": "kh", "M_Id+F": "id_friction", "rigid": "rigid", "with friction": "friction", "full": "full"}
+PAYLOAD = ("", "estimate", "standard deviations", "")
 WINDOW_NS = 1_000_000_000  # of what the errors are an rms of
 
 
@@ -33,8 +34,16 @@ class Joints:
         self._newest: dict[str, np.ndarray] = {}
         self._events: list[str] = []
 
-    def table(self, title: str) -> Table:
-        """What is known by now; what never came is left out."""
+    def picture(self, title: str) -> Group:
+        """What is known by now, the payload in a table of its own; what never came is left out."""
+        from rich.console import Group
+
+        self._take()
+        payload = self._newest.get(self._topics.payload)
+        load = [] if payload is None else ["", table(PAYLOAD, list(_payload(payload[-1])), figures=slice(1, 2))]
+        return Group(self._table(title), *load)
+
+    def _take(self) -> None:
         import numpy as np
 
         from schemas.messages import PayloadEvent, stamp_ns
@@ -49,9 +58,11 @@ class Joints:
                 event = PayloadEvent(int(record["event"])).name.lower()
                 line = f"{float(stamp_ns(record)) * 1e-9:.2f} s {event}"
                 self._events = [*self._events, line][-MOST_EVENTS:] if line not in self._events else self._events
-        head = ("", *(f"joint {joint + 1}" for joint in range(max(self._count, WIDTH))))
-        rows = [(*row, *[""] * (len(head) - len(row))) for row in self._rows()]
-        shown = table(head, rows, title)
+
+    def _table(self, title: str) -> Table:
+        from schemas.messages import stamp_ns
+
+        shown = table(("", *(f"joint {joint + 1}" for joint in range(self._count))), list(self._rows()), title)
         if self._topics.sample in self._newest:
             clock = float(stamp_ns(self._newest[self._topics.sample][-1])) * 1e-9
             shown.caption = f"bus time {clock:.1f} s   {'   '.join(self._events)}"
@@ -76,17 +87,15 @@ class Joints:
                 rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(known, 1))
                 told = (format(value, "8.2f") if count else "at rest" for value, count in zip(rms, known, strict=True))
                 yield f"error {label}, rms {torque}", *told
-        if topics.payload in newest:
-            yield from _payload(newest[topics.payload])
 
 
-def _payload(payload: np.void) -> Iterator[tuple[str, ...]]:
-    """Mass, and of an arm's load centre and inertia, as far as they are known."""
+def _payload(payload: np.void) -> Iterator[tuple[str, str, str, str]]:
+    """Rows under `PAYLOAD`: mass, and of an arm's load centre and inertia, as far as they are known."""
     import numpy as np
 
     trust = "trusted" if payload["trusted"] else "not yet trusted"
     if "centre" not in (payload.dtype.names or ()):
-        errors = f"± {payload['random_std_dev']:.3f} random ± {payload['common_std_dev']:.3f} common"
+        errors = f"± {payload['random_std_dev']:.3f} random, ± {payload['common_std_dev']:.3f} common"
         yield "payload, kg", f"{payload['mass']:.3f}", errors, trust
         return
     for name, label, known in (
@@ -94,13 +103,13 @@ def _payload(payload: np.void) -> Iterator[tuple[str, ...]]:
         ("inertia", "inertia, g m^2", payload["inertia_trusted"]),
     ):  # fmt: skip
         if not (known and np.isfinite(payload["mass"])):
-            yield label, "not yet"
+            yield label, "not yet", "", ""
             continue
         values, random, common = (1e3**(name != "mass") * np.atleast_1d(payload[f"{name}{part}"])
                                   for part in ("", "_random", "_common"))  # fmt: skip
         digits = 3 if name == "mass" else 1
         told = ", ".join(f"{value:.{digits}f}" for value in values)
-        errors = f"± {random.max():.{digits}f} random ± {common.max():.{digits}f} common"
+        errors = f"± {random.max():.{digits}f} random, ± {common.max():.{digits}f} common"
         yield label, told, errors, trust if name == "mass" else ""
 
 

@@ -45,17 +45,17 @@ def command(
         if not (sys.stdout.isatty() and sys.__stdin__):
             while not stopped():
                 time.sleep(1.0)
-                screen.print(joints.table(name), roles.table())
+                screen.print(joints.picture(name), "", roles.table())
         else:
             from service.cli.screen import Screen
 
             def picture() -> Group:
-                return Group(joints.table(f"{name}; q or Ctrl-C ends it"), "", roles.table())
+                return Group(joints.picture(f"{name}; q or Ctrl-C ends it"), "", roles.table())
 
             drawn = Screen(picture, stopped, REFRESH_S)
             if failed := drawn.run(mouse=False):
                 raise failed
             if drawn.return_code:  # Textual has said why
                 raise SystemExit(drawn.return_code)
-            screen.print(joints.table(name), roles.table())  # the last of it stays in the terminal
+            screen.print(joints.picture(name), "", roles.table())  # the last of it stays in the terminal
     conclude("To record what was shown:", "monitor", "--robot", robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import html
 import re
 import shutil
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from docs.making import figures
 from docs.making.pages import FILES
 from schemas.messages import TOPICS
+from service.cli.live import PAYLOAD
 from service.cli.main import summaries
 from service.diagnosis.sealed_page import BOUNDS
 from service.model.effects import NAMES
@@ -146,6 +148,14 @@ def test_a_page_marks_what_is_missed_and_quotes_no_empty_commit(monkeypatch: pyt
 
 def test_bounds_of_the_blind_test_are_those_of_the_tool() -> None:
     assert {one.key: (one.figure, one.bound) for one in figures.benches()["blindtest"].figures} == BOUNDS
+
+
+def test_the_picture_of_top_shows_what_top_shows_and_fetches_nothing() -> None:
+    drawing = (DOCS / "how-to" / "pictures" / "top.svg").read_text(encoding="utf-8")
+    text = html.unescape(" ".join(re.findall(r"<text[^>]*>([^<]*)</text>", drawing))).replace("\xa0", " ")
+    assert not re.search(r"url\((?!#)|href|@font-face", drawing)
+    for said in ("joint 3", *(f"error {name}, rms N m" for name in ("M_KH", "M_Id+F", "full")), *filter(None, PAYLOAD)):
+        assert said in text
 
 
 RUN = re.compile(r"uv run (?:--group \w+ )?python -m ([\w.]+)\b")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import os
 import re
 import signal
@@ -13,13 +14,18 @@ import termios
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from drivers.bus import Bus, open_bus
 from drivers.health import Health
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, SAMPLE, HealthFlag, PayloadEvent, Role, set_stamp
+from schemas.robot import load_robot
+from service.cli.live import Joints
 
 PROGRAM = Path(sys.executable).with_name("deltatwin")
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
@@ -39,6 +45,39 @@ def publish(player: Bus, estimator: Bus, number: int, event: PayloadEvent = Payl
         for name, value in values.items():
             record[name] = value
         bus.publisher(topic).put(record.tobytes())
+
+
+class Heard:
+    """A bus on which one cycle of a robot was heard, and the health of nobody."""
+
+    def __init__(self) -> None:
+        self.records: dict[str, np.ndarray] = {}
+
+    def publisher(self, topic: str) -> Heard:
+        self.topic = topic
+        return self
+
+    def put(self, message: bytes) -> None:
+        dtype = {"sample": SAMPLE, "feedforward": FEEDFORWARD, "payload": PAYLOAD, "error": MODEL_ERROR}[
+            self.topic
+        ].dtype
+        self.records[self.topic] = np.frombuffer(message, dtype)
+
+    def subscribe(self, topic: str) -> SimpleNamespace:
+        return SimpleNamespace(take=lambda: (self.records.get(topic, np.zeros(0)), 0))
+
+
+def test_joints_have_columns_of_one_width_whatever_is_carried(bench_robot: Path) -> None:
+    bus: Any = Heard()
+    publish(bus, bus, 1)
+    screen = Console(width=80, file=io.StringIO())
+    screen.print(Joints(bus, load_robot(bench_robot)).picture("bench"))
+    lines = screen.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    ends = [found.end() for found in re.finditer(r"joint \d", lines[1])]
+    assert len(set(np.diff(ends))) == 1
+    assert ends[2] - ends[1] < 12
+    (payload,) = (line for line in lines if line.startswith("payload, kg"))
+    assert re.search(r" 1\.234 +± nan random, ± nan common +trusted", payload)
 
 
 @pytest.mark.parametrize("terminal", [False, True])
