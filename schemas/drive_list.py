@@ -40,6 +40,12 @@ class ListedDrive(TomlTable):
         return self
 
     @property
+    def scaling(self) -> list[str]:
+        """Keys that are given and scale messages of a bus."""
+        standard = type(self).model_fields
+        return [key for key, value in self if key not in ("joint", "gear_ratio") and value != standard[key].default]
+
+    @property
     def on_bus(self) -> bool:
         """Whether the scaling of its messages is given."""
         return self.counts_per_turn is not None

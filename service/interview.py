@@ -21,6 +21,12 @@ from schemas.urdf import moving_joints, read_urdf, turning_joints
 
 MOST_AXES = 12
 DELTA_JOINTS = 3
+# What of a list of drives scales a bus -> what scales a log alike.
+IMPORTED = {
+    "counts_per_turn": "`import --counts-per-rev`", "sign": "`sign` in the mapping that `import` writes",
+    "zero_counts": "`zero` in the mapping that `import` writes",
+    **dict.fromkeys(("rated_torque_nm", "rated_current_a", "torque_constant_nmpa"), "`import --torque-unit`"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -112,12 +118,21 @@ def gears(questions: Sequence[Question], drives: Sequence[ListedDrive], path: Pa
     """The answers that a list of drives gives, by their keys. path: of the list.
 
     Raises:
-        RobotError: it scales the bus of what is no Delta robot.
+        RobotError: it scales the bus of what is no Delta robot, or leaves out what that needs.
     """
+    scaled = [(drive.joint, key) for drive in drives for key in drive.scaling]
     if questions is DELTA:
+        if scaled and not drives[0].on_bus:
+            joint, key = scaled[0]
+            value = getattr(drives[joint - 1], key)
+            raise RobotError(
+                f"{path}: joint {joint}: {key} {value:g}: counts_per_turn is missing (encoder counts per motor "
+                f"turn); if the drives are not on a bus, leave {key} out and use {IMPORTED[key]}"
+            )
         return {"drive.gear_ratio": str(drives[0].gear_ratio)}
-    if any(drive.on_bus for drive in drives):
-        raise RobotError(f"{path}: counts_per_turn: only for a Delta robot; for others see `import --counts-per-rev`")
+    if scaled:
+        key = scaled[0][1]
+        raise RobotError(f"{path}: {key}: only for a Delta robot; for others use {IMPORTED[key]}")
     if any(question.key == "joints" for question in questions):
         return {"gear_ratio": ",".join(str(drive.gear_ratio) for drive in drives)}
     return {f"axis.{drive.joint}.gear_ratio": str(drive.gear_ratio) for drive in drives}

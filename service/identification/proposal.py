@@ -107,7 +107,7 @@ def _channels(
         torque=stated.torque or channels.torque,
     )
     channels = _told_once(channels, doubts)
-    _check(table, channels, stated, joints)
+    _check(table, channels, stated, joints, "" if robot is None else robot.at_rest)
     if not stated.torque:
         _refuse_rates(table, channels, doubts)
     if not (stated.position and stated.torque):
@@ -224,7 +224,8 @@ def _as_measured(
     return next(near, None)
 
 
-def _check(table: Table, channels: Channels, stated: Stated, joints: int | None) -> None:
+def _check(table: Table, channels: Channels, stated: Stated, joints: int | None, at_rest: str) -> None:
+    """at_rest: how joints that the log does not have are described."""
     listed = ", ".join(list(table.columns)[:20])
     for role in ("position", "torque"):
         names = getattr(channels, role)
@@ -236,9 +237,8 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
         if not names or (joints and len(names) != joints):
             which = "column is the" if joints == 1 else f"{joints} columns are the" if joints else "columns are the"
             many, what = ("", "NAME") if joints == 1 else ("s", "NAME,NAME,...")
-            raise DataError(
-                f"{table.path}: it is unclear which {which} {role}{many}; give --{role} {what} (columns: {listed})"
-            )
+            said = f"{table.path}: it is unclear which {which} {role}{many}; give --{role} {what} (columns: {listed})"
+            raise DataError(said + (at_rest if joints and len(names) < joints else ""))
     if len(channels.position) != len(channels.torque):
         raise DataError(
             f"{table.path}: {len(channels.position)} positions ({', '.join(channels.position)}) with "

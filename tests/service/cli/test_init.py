@@ -112,6 +112,11 @@ def test_a_list_of_drives_of_axes_and_of_an_arm(tmp_path: Path) -> None:
         (HEAD + ROWS.replace("3,20.5,1048576", "3,20.5,"), "counts_per_turn: give it for all drives, or for none"),
         (HEAD + ROWS.replace("1,0,2.4", "1,0,"), "row 3: counts_per_turn is given: rated_torque_nm or"),
         (HEAD.replace("sign", "direction") + ROWS, "row 2: direction: unknown key"),
+        (
+            "joint,gear_ratio,rated_torque_nm\n1,25,2.4\n2,25,2.4\n3,25,2.4\n",
+            "joint 1: rated_torque_nm 2.4: counts_per_turn is missing .* use `import --torque-unit`",
+        ),
+        ("joint,gear_ratio,sign\n1,25,1\n2,25,-1\n3,25,1\n", "joint 2: sign -1: counts_per_turn is missing"),
         ("joint,gear_ratio\n1,2,3\n", "row 2: more cells than the header has columns"),
         ("\xff", "drives.csv: "),
     ],
@@ -124,9 +129,17 @@ def test_what_is_wrong_in_a_list_of_drives_is_named(tmp_path: Path, text: str, s
     assert [path.name for path in tmp_path.iterdir()] == ["drives.csv"]
 
 
-def test_the_bus_of_axes_is_scaled_elsewhere(tmp_path: Path) -> None:
-    (tmp_path / "drives.csv").write_text("joint,gear_ratio,counts_per_turn,rated_torque_nm\n1,2,100,1\n")
-    with pytest.raises(RobotError, match="counts_per_turn: only for a Delta robot"):
+@pytest.mark.parametrize(
+    ("keys", "values", "refused"),
+    [
+        ("counts_per_turn,rated_torque_nm", "100,1", "counts_per_turn: .* `import --counts-per-rev`"),
+        ("rated_current_a,torque_constant_nmpa", "4,0.6", "rated_current_a: .* `import --torque-unit`"),
+        ("zero_counts", "7", "zero_counts: .* `zero` in the mapping"),
+    ],
+)
+def test_the_bus_of_axes_is_scaled_elsewhere(tmp_path: Path, keys: str, values: str, refused: str) -> None:
+    (tmp_path / "drives.csv").write_text(f"joint,gear_ratio,{keys}\n1,2,{values}\n")
+    with pytest.raises(RobotError, match=refused.replace(": ", ": only for a Delta robot; ", 1)):
         init(tmp_path / "axes.toml", {}, "--axes", "1", "--drives", str(tmp_path / "drives.csv"))
 
 

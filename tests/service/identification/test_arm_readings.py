@@ -39,6 +39,16 @@ def table(log: np.ndarray, position: np.ndarray, torque: np.ndarray, units: tupl
     return Table(Path("log.csv"), "text", columns)
 
 
+def test_a_log_with_fewer_joints_than_the_arm_says_where_those_at_rest_go(log: np.ndarray, tmp_path: Path) -> None:
+    arm.write(tmp_path)
+    four = arm.DESCRIPTION.replace(
+        'joints = ["j1", "j2", "j3"]\nheld = ["grip"]', 'joints = ["j1", "j2", "j3", "grip"]'
+    )
+    (tmp_path / "four.toml").write_text(four)
+    with pytest.raises(DataError, match=r"which 4 columns are the positions; .*move joints that rest at zero .*`held`"):
+        propose(table(log, log[:, 1:4], log[:, 4:7]), load_axes(tmp_path / "four.toml"), Stated())
+
+
 def signs(found: Proposal, role: str) -> list[int]:
     return [entry.get("sign", 1) for entry in found.columns[role]]
 
